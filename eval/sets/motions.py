@@ -17,14 +17,14 @@ from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward, on_floor
-from motionkit.fields.completion import SLERP, upsample
+from motionkit.fields.completion import upsample
 from motionkit.fields.contact.planted import planted, planted_frames
 from motionkit.fields.detail import Detail, detailed
 from motionkit.fields.interpolation import InterpolatedField
-from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, to_motion
+from motionkit.fields.motion_field import MotionField, Observation, to_motion
 from motionkit.fields.resample import resample_positions
 from motionkit.generate.models import ChecksRequests, GenerationRequest, GenerativeModel, SamplingOptions
-from motionkit.store.cache import PositionCache, open_cache
+from motionkit.store.cache import open_cache
 from motionkit.store.reader import Store
 from motionkit.store.sql import conjunction
 
@@ -106,7 +106,16 @@ def real_motion(store: Store, split: str, where: str | None = None, layout: str 
     A sequence's caption is its first. Raises `UsageError` if the split is empty or its skeletons cannot be mapped.
     """
     cache = open_cache(store, layout=layout, where=of_split_and(split, where))
-    return _from_cache(store, cache, split)
+    table = store.columns("sequence_id", "captions", "action").loc[cache.sequence_index]
+    rates = zip(cache.fps_numerator.tolist(), cache.fps_denominator.tolist(), strict=True)
+    return RealMotion(
+        name=f"real ({split})",
+        sequences=Ragged(cache.positions, cache.start_row.astype(np.int64), cache.num_frames.astype(np.int64)),
+        fps=tuple(Fraction(numerator, denominator) for numerator, denominator in rates),
+        sequence_ids=tuple(table["sequence_id"].astype(str)),
+        captions=tuple(str(captions[0]["text"]) if len(captions) else "" for captions in table["captions"]),
+        actions=tuple(table["action"].astype(str)),
+    )
 
 
 def has_training(store: Store) -> bool:
@@ -117,20 +126,6 @@ def has_training(store: Store) -> bool:
 def training_motion(store: Store, compared: RealMotion) -> RealMotion:
     """The set to fit features on: the training split, or the compared sequences without one."""
     return real_motion(store, "train") if has_training(store) else compared
-
-
-def _from_cache(store: Store, cache: PositionCache, split: str) -> RealMotion:
-    table = store.columns("sequence_id", "captions", "action").loc[cache.sequence_index]
-    captions = tuple(str(found[0]["text"]) if len(found) else "" for found in table["captions"])
-    rates = zip(cache.fps_numerator.tolist(), cache.fps_denominator.tolist(), strict=True)
-    return RealMotion(
-        name=f"real ({split})",
-        sequences=Ragged(cache.positions, cache.start_row.astype(np.int64), cache.num_frames.astype(np.int64)),
-        fps=tuple(Fraction(numerator, denominator) for numerator, denominator in rates),
-        sequence_ids=tuple(table["sequence_id"].astype(str)),
-        captions=captions,
-        actions=tuple(table["action"].astype(str)),
-    )
 
 
 AT_ONCE = 256
@@ -291,28 +286,20 @@ FRAMES_AT_ONCE = 2048
 MOST_PADDING = 16
 
 
-def upsampled(samples: SampleSet, fps: Fraction, name: str, encoder: MotionEncoder = SLERP) -> SampleSet:
+def upsampled(samples: SampleSet, fps: Fraction, name: str) -> SampleSet:
     """Upsample every sequence by SLERP; ids are kept, for comparison with the real sequences.
 
     Joint rotations (from inverse kinematics) on great arcs, the root on straight lines, positions by forward
     kinematics. Raises `ValueError` if `fps` is below the set's.
     """
-    sequences = list(samples.sequences)
-    if encoder is SLERP:
-        return samples.with_positions(name, fps, list(each_upsampled(sequences, samples.fps, fps)))
-    made = [upsampled_positions(sequence, samples.fps, fps, encoder) for sequence in sequences]
-    return samples.with_positions(name, fps, made)
+    return samples.with_positions(name, fps, list(each_upsampled(list(samples.sequences), samples.fps, fps)))
 
 
 def upsampled_positions(
-    positions: Float32[np.ndarray, "frames joints 3"],
-    fps_from: Fraction,
-    fps_to: Fraction,
-    encoder: MotionEncoder = SLERP,
+    positions: Float32[np.ndarray, "frames joints 3"], fps_from: Fraction, fps_to: Fraction
 ) -> Float32[np.ndarray, "new_frames joints 3"]:
     """Joint positions of the 22-joint layout at a higher framerate; raises `ValueError` for a lower one."""
-    motion = Motion(positions, SMPL22, TimeGrid(fps_from, len(positions)))
-    return upsample(motion, fps_to, encoder).joint_positions
+    return upsample(Motion(positions, SMPL22, TimeGrid(fps_from, len(positions))), fps_to).joint_positions
 
 
 def each_upsampled(
@@ -352,23 +339,16 @@ def upsample_as_vectors(samples: SampleSet, fps: Fraction, name: str) -> SampleS
     """
     if fps < samples.fps:
         raise ValueError(f"{samples.name} is at {samples.fps} fps, which is more than {fps}")
-    made = [_through_vectors(sequence, samples.fps, fps) for sequence in samples.sequences]
-    return samples.with_positions(name, fps, made)
-
-
-def _through_vectors(
-    positions: Float32[np.ndarray, "frames joints 3"], fps_from: Fraction, fps_to: Fraction
-) -> Float32[np.ndarray, "new_frames joints 3"]:
-    placed = facing_forward(at_origin(on_floor(positions)), SMPL22.name)
-    vectors = humanml3d.vectors(placed, SMPL22.name)
-    ratio = float(fps_from / fps_to)
-    num_rows = int((len(vectors) - 1) * (fps_to / fps_from)) + 1
-    place = np.arange(num_rows) * ratio
-    below = np.minimum(place.astype(np.int64), len(vectors) - 1)
-    above = np.minimum(below + 1, len(vectors) - 1)
-    fraction = (place - below)[:, None]
-    mixed = (1.0 - fraction) * vectors[below] + fraction * vectors[above]
-    return humanml3d.positions(mixed.astype(np.float32), SMPL22.name)
+    sequences = []
+    for positions in samples.sequences:
+        vectors = humanml3d.vectors(facing_forward(at_origin(on_floor(positions)), SMPL22.name), SMPL22.name)
+        place = np.arange(int((len(vectors) - 1) * (fps / samples.fps)) + 1) * float(samples.fps / fps)
+        below = np.minimum(place.astype(np.int64), len(vectors) - 1)
+        above = np.minimum(below + 1, len(vectors) - 1)
+        fraction = (place - below)[:, None]
+        mixed = (1.0 - fraction) * vectors[below] + fraction * vectors[above]
+        sequences.append(humanml3d.positions(mixed.astype(np.float32), SMPL22.name))
+    return samples.with_positions(name, fps, sequences)
 
 
 LOW_PASS_ORDER = 4

@@ -15,8 +15,8 @@ from eval.metrics.distributions import fit_gaussian, frechet_distance
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.shapes import Float, Float32, Int64
 
-ABOUT_EACH = ("captions", "actions", "groups", "takes", "generations")
-"""Optional metadata of each sequence of a set, beside its id."""
+ABOUT_EACH = ("sequence_ids", "captions", "actions", "groups", "takes", "generations")
+"""Metadata of each sequence of a set; all but its id are optional."""
 Frames = Float32[np.ndarray, "_frames *_frame"]
 
 
@@ -33,19 +33,13 @@ class Ragged:
     num_frames: Int64[np.ndarray, "sequences"]
 
     @classmethod
-    def laid_out(
-        cls, values: Float32[np.ndarray, "rows *frame"], num_frames: Sequence[int] | npt.NDArray[np.int64]
-    ) -> "Ragged":
-        """Sequences of these lengths. Raises `ValueError` if they do not add up to the number of rows."""
-        lengths = np.asarray(num_frames, dtype=np.int64)
-        if int(lengths.sum()) != len(values):
-            raise ValueError(f"{len(values)} rows for sequences of {int(lengths.sum())} frames in all")
-        return cls(values, np.cumsum(lengths) - lengths, lengths)
-
-    @classmethod
     def of(cls, sequences: Sequence[Frames]) -> "Ragged":
         """Concatenate a copy of the sequences; raises `ValueError` for none."""
-        return cls.laid_out(np.concatenate(sequences).astype(np.float32, copy=False), [len(each) for each in sequences])
+        if not len(sequences):
+            raise ValueError("a set would hold no sequence")
+        values = np.concatenate(sequences).astype(np.float32, copy=False)
+        lengths = np.array([len(each) for each in sequences], dtype=np.int64)
+        return cls(values, np.cumsum(lengths) - lengths, lengths)
 
     def __len__(self) -> int:
         return len(self.num_frames)
@@ -56,6 +50,10 @@ class Ragged:
 
     def __iter__(self) -> Iterator[Frames]:
         return (self[index] for index in range(len(self)))
+
+    def select(self, indices: Sequence[int]) -> "Ragged":
+        """The sequences at `indices`, in that order."""
+        return Ragged.of([self[index] for index in indices])
 
     def clips(self, first_row: Int64[np.ndarray, "clips"], num_rows: int) -> Float32[np.ndarray, "clips rows *frame"]:
         """Stretches of one length that start at these rows of `values`."""
@@ -91,13 +89,15 @@ class SampleSet:
     generations: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        texts = {name: getattr(self, name) for name in ABOUT_EACH}
-        for name, values in {"ids": self.sequence_ids, **texts}.items():
-            if len(values) not in ((len(self.sequences),) if name == "ids" else (0, len(self.sequences))):
+        for name in ABOUT_EACH:
+            if len(values := getattr(self, name)) != len(self.sequences) and (values or name == "sequence_ids"):
                 raise ValueError(f"{len(values)} {name} for {len(self.sequences)} sequences")
         rows = len(self.sequences.values)
         if self.local_rotations is not None and len(self.local_rotations) != rows:
             raise ValueError(f"{len(self.local_rotations)} rows of rotations for {rows} of positions")
+        if not np.isfinite(self.sequences.values).all():
+            bad = next(index for index, each in enumerate(self.sequences) if not np.isfinite(each).all())
+            raise ValueError(f"sample set {self.name!r}: sequence {self.sequence_ids[bad]!r} holds NaN or infinity")
 
     @property
     def num_sequences(self) -> int:
@@ -121,20 +121,13 @@ class SampleSet:
 
     def select(self, indices: Sequence[int] | npt.NDArray[np.int64], name: str | None = None) -> "SampleSet":
         """The sequences at `indices`, in that order, optionally under another name."""
-        chosen = [int(index) for index in indices]
-        made = sample_set(
-            name or self.name,
-            self.fps,
-            [self.sequences[index] for index in chosen],
-            [self.sequence_ids[index] for index in chosen],
-        )
-        known: dict[str, Any] = {name: getattr(self, name) for name in ABOUT_EACH if getattr(self, name)}
-        about: dict[str, Any] = {name: tuple(each[index] for index in chosen) for name, each in known.items()}
-        made = replace(made, **about)
-        if self.local_rotations is None:
-            return made
-        rotations = replace(self.sequences, values=self.local_rotations)
-        return replace(made, local_rotations=np.concatenate([rotations[index] for index in chosen]))
+        chosen, rotations = [int(index) for index in indices], self.local_rotations
+        if rotations is not None:
+            rotations = replace(self.sequences, values=rotations).select(chosen).values
+        about: dict[str, Any] = {each: values for each in ABOUT_EACH if (values := getattr(self, each))}
+        about = {each: tuple(values[index] for index in chosen) for each, values in about.items()}
+        sequences = self.sequences.select(chosen)
+        return replace(self, name=name or self.name, sequences=sequences, local_rotations=rotations, **about)
 
     def rows_by_group(self) -> dict[str, list[int]]:
         """The sequences of each prompt, prompts in order of appearance; without groups each is its own."""
@@ -147,13 +140,7 @@ class SampleSet:
         self, name: str, fps: Fraction, sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]]
     ) -> "SampleSet":
         """The same sequences by id, with other positions at another framerate and no rotations."""
-        made = sample_set(name, fps, sequences, self.sequence_ids)
-        return replace(made, **{name: getattr(self, name) for name in ABOUT_EACH})
-
-    def __repr__(self) -> str:
-        return (
-            f"SampleSet({self.name!r}, {self.num_sequences} sequences, {self.duration_seconds:.1f} s at {self.fps} fps)"
-        )
+        return replace(self, name=name, fps=fps, sequences=Ragged.of(sequences), local_rotations=None)
 
 
 def sample_set(
@@ -166,14 +153,8 @@ def sample_set(
     groups: Sequence[str] = (),
 ) -> SampleSet:
     """Concatenate sequences into a set. Raises `ValueError` for none, or for NaN."""
-    if not len(sequences):
-        raise ValueError(f"sample set {name!r} would hold no sequence")
-    laid_out = Ragged.of(sequences)
-    if not np.isfinite(laid_out.values).all():
-        bad = next(i for i, sequence in enumerate(sequences) if not np.isfinite(sequence).all())
-        raise ValueError(f"sample set {name!r}: sequence {sequence_ids[bad]!r} holds NaN or infinity")
-    texts = (tuple(sequence_ids), tuple(captions), tuple(actions))
-    return SampleSet(name, fps, laid_out, *texts, groups=tuple(groups))
+    about = tuple(sequence_ids), tuple(captions), tuple(actions)
+    return SampleSet(name, fps, Ragged.of(sequences), *about, groups=tuple(groups))
 
 
 class Variant(Enum):
@@ -249,7 +230,7 @@ class Missing:
 
 
 CHOICES = 10
-SAME = 1e-6
+SAME, SAME_METRES = 1e-6, 1e-5
 """Fraction of the real features' spread: embeddings of one motion differ by far less, those of two by far more."""
 
 Features = Float[np.ndarray, "_samples features"]
@@ -262,8 +243,7 @@ def size_remarks(real: Features, reference: Features, other: Features, seed: int
     random motions of the reference against all of it: its mean, and the range of ten draws.
     """
     remarks = []
-    copies = num_copies(real, other)
-    if copies:
+    if copies := num_copies(real, other, SAME * float(real.std())):
         remarks.append(
             f"{copies:,} of {len(other):,} motions are real motions of this set, which says nothing of a model"
         )
@@ -280,9 +260,8 @@ def size_remarks(real: Features, reference: Features, other: Features, seed: int
     return remarks
 
 
-def num_copies(real: Features, other: Features) -> int:
-    """Number of rows that equal a row of the real features, up to rounding."""
-    tolerance = SAME * float(real.std())
+def num_copies(real: Features, other: Features, tolerance: float) -> int:
+    """Number of rows that equal a row of the real features."""
     order = np.argsort(real[:, 0], kind="stable")
     first = real[order, 0]
     low, high = (np.searchsorted(first, other[:, 0] + sign * tolerance) for sign in (-1, 1))
@@ -292,47 +271,20 @@ def num_copies(real: Features, other: Features) -> int:
     )
 
 
-SAME_METRES = 1e-5
-STILL_METRES = 1e-6
-
-
 def set_remarks(real: SampleSet, rows: Mapping[str, SampleSet]) -> list[str]:
-    """One remark for each row that holds sequences of the real set, or in which nothing moves."""
-    remarks = []
+    """One remark for each row that holds sequences of the real set."""
+    remarks, known = [], _ends(real)
     for name, samples in rows.items():
-        copies = _num_copied_sequences(real, samples)
-        if copies:
+        if copies := num_copies(known, _ends(samples), SAME_METRES):
             remarks.append(
                 f"{name}, {real.fps} fps: {copies} of {samples.num_sequences} sequences are copies of sequences of "
                 f"{real.name}; a set of nothing else scores like independent draws (P1), which says nothing of a model"
             )
-        if _is_still(samples):
-            remarks.append(
-                f"{name}, {real.fps} fps: nothing moves in any of the {samples.num_sequences} sequences; features of "
-                "speed and acceleration are constant, and their part of the score is the real set's own spread"
-            )
     return remarks
 
 
-def _num_copied_sequences(real: SampleSet, samples: SampleSet) -> int:
-    """Number of sequences that equal a sequence of the real set, up to rounding."""
-    known: dict[int, list[Float32[np.ndarray, "_ joints 3"]]] = {}
-    for sequence in real.sequences:
-        known.setdefault(len(sequence), []).append(sequence)
-    return sum(
-        any(_same(sequence[0], other[0]) and _same(sequence, other) for other in known.get(len(sequence), ()))
-        for sequence in samples.sequences
+def _ends(samples: SampleSet) -> Features:
+    """The first, middle and last pose of every sequence, and its length: what two sequences share only if equal."""
+    return np.stack(
+        [np.append(sequence[[0, len(sequence) // 2, -1]].ravel(), len(sequence)) for sequence in samples.sequences]
     )
-
-
-def _same(a: Float32[np.ndarray, "*shape"], b: Float32[np.ndarray, "*shape"]) -> bool:
-    return bool(np.abs(a - b).max() < SAME_METRES)
-
-
-def _is_still(samples: SampleSet) -> bool:
-    """Whether no joint moves from any frame to the next of the same sequence."""
-    positions = samples.sequences.values
-    steps = np.abs(np.diff(positions, axis=0)).reshape(max(len(positions) - 1, 0), -1)
-    inside = np.ones(len(steps), dtype=bool)
-    inside[samples.sequences.start_row[1:] - 1] = False
-    return bool((steps[inside] < STILL_METRES).all())

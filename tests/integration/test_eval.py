@@ -133,14 +133,12 @@ def test_calibration(motionkit: Command, store: Path, tmp_path: Path) -> None:
 
 
 def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: Path, tmp_path: Path) -> None:
-    """The real files as another system's, statues as a third's, fewer clips than features."""
-    for name in ("copy", "statues"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "motions.json").write_text('{"fps": 120}')
+    """The real files as another system's, fewer clips than features."""
+    (tmp_path / "copy").mkdir()
+    (tmp_path / "copy" / "motions.json").write_text('{"fps": 120}')
     for index in (5, 11):
         np.save(tmp_path / "copy" / f"walk-{index}.npy", walk(index, 120, 5.0))
-        np.save(tmp_path / "statues" / f"{index}.npy", np.repeat(walk(index, 120, 0.02)[:1], 600, axis=0))
-    samples = [part for name in ("copy", "statues") for part in ("--samples", f"{name}={tmp_path / name}")]
+    samples = ("--samples", f"copy={tmp_path / 'copy'}")
     arguments = ("--clips", "64", "--replications", "2", "--evaluator", "kinematic", "--sizes", "16:32", "--json")
     done = motionkit(
         "eval", "--table", "2", "--store", store, "--results", tmp_path, "--fps", "120", *samples, *arguments
@@ -149,7 +147,6 @@ def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: 
     result = json.loads(done.stdout)
     notes = "\n".join(result["notes"])
     assert "copy, 120 fps: 2 of 2 sequences are copies of sequences of real (test)" in notes
-    assert "statues, 120 fps: nothing moves in any of the 2 sequences" in notes
     details = result["blocks"][0]["rows"][0]["cells"]["120 fps"]["details"]
     assert {"KID", "precision", "recall", "density", "coverage"} < set(details)
     # Too few clips for a line through covariances that are not singular.

@@ -1,0 +1,196 @@
+"""Sample sets; real motion at a framerate, generated and upsampled motion; remarks on sets that mislead."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from eval.metrics.distributions import fid
+from eval.sets.motions import (
+    NoRealMotionError,
+    RealMotion,
+    Window,
+    each_upsampled,
+    generate_fields,
+    sample_fields,
+    upsample_as_vectors,
+    upsampled,
+    upsampled_positions,
+    windows_of,
+)
+from eval.sets.sets import Ragged, SampleSet, middle, num_copies, sample_set, set_remarks, size_remarks
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeletons.mapping import rest_positions
+from motionkit.fields.motion_field import Poses
+from motionkit.generate.models import GenerationRequest
+from tests.helpers.scripted_model import ScriptedModel
+
+
+def swing(seconds: np.ndarray) -> np.ndarray:
+    """Every joint swings at 1 Hz."""
+    joints = np.arange(22)[None, :, None]
+    return np.sin(2 * np.pi * seconds[:, None, None] + joints + np.arange(3)).astype(np.float32)
+
+
+def real_motion(lengths: Sequence[int], rates: Sequence[int]) -> RealMotion:
+    return RealMotion(
+        name="real (test)",
+        sequences=Ragged.of([swing(np.arange(length) / rate) for length, rate in zip(lengths, rates, strict=True)]),
+        fps=tuple(Fraction(rate) for rate in rates),
+        sequence_ids=tuple(f"take{i}" for i in range(len(lengths))),
+        captions=tuple(f"caption {i}" for i in range(len(lengths))),
+        actions=("",) * len(lengths),
+    )
+
+
+def test_sequences_of_different_lengths_lie_in_one_array() -> None:
+    parts = [np.random.default_rng(n).normal(size=(n, 2, 3)).astype(np.float32) for n in (4, 1, 6)]
+    together = Ragged.of(parts)
+    assert (len(together), together.start_row.tolist(), together.num_frames.tolist()) == (3, [0, 4, 5], [4, 1, 6])
+    assert together[2].base is together.values
+    for found, part in zip(together, parts, strict=True):
+        np.testing.assert_array_equal(found, part)
+    np.testing.assert_array_equal(together.clips(np.array([1, 6]), 3), np.stack([parts[0][1:], parts[2][1:4]]))
+    frames = np.arange(7, dtype=np.float32)
+    assert [middle(frames, 3).tolist(), middle(frames[:2], 4).tolist()] == [[2, 3, 4], [0, 1]]
+
+
+def test_a_set_selects_sequences_with_what_is_known_of_them() -> None:
+    parts = [np.full((n, 22, 3), n, dtype=np.float32) for n in (3, 5, 2)]
+    samples = sample_set("s", Fraction(20), parts, ["a", "b", "c"], ["x", "y", "z"])
+    chosen = samples.select([2, 0])
+    assert (chosen.sequence_ids, chosen.captions, chosen.actions) == (("c", "a"), ("z", "x"), ())
+    np.testing.assert_array_equal(chosen.sequences.values[:2], parts[2])
+    assert samples.duration_seconds == 0.5
+    parts[1][0] = np.nan
+    for refused, ids in ((parts, ["a", "b", "c"]), ([], []), (parts[2:], ["a", "b"])):
+        with pytest.raises(ValueError):
+            sample_set("s", Fraction(20), refused, ids)
+
+
+def test_the_real_set_at_a_framerate_holds_what_was_captured_so_fast() -> None:
+    real = real_motion([121, 61, 241, 241], [30, 60, 120, 120])
+    assert real.at(Fraction(60)).sequence_ids == ("take1", "take2", "take3")
+    assert real.at(Fraction(20)) is real.at(Fraction(20)) and real.at(Fraction(20)).num_sequences == 4
+    with pytest.raises(NoRealMotionError, match="0 of 4 sequences were captured at 250 fps"):
+        real.at(Fraction(250))
+    for sequence in real.at(Fraction(20)).sequences:
+        expected = swing(np.arange(len(sequence)) / 20)
+        np.testing.assert_allclose(sequence[15:-15], expected[15:-15], atol=2e-3)
+    shifted = real.at(Fraction(20), first_frame=1).sequences[2]
+    np.testing.assert_allclose(shifted[15:25], swing(np.arange(len(shifted)) / 20 + 1 / 120)[15:25], atol=2e-3)
+
+
+def test_long_sequences_become_windows_of_equal_length() -> None:
+    windows = windows_of(real_motion([31, 201], [20, 20]).at(Fraction(20)), 4.0)
+    assert [(each.sequence_id, each.number) for each in windows] == [
+        ("take0", 0), ("take1", 0), ("take1", 1), ("take1", 2)
+    ]  # fmt: skip
+    assert [each.request.duration_seconds for each in windows] == pytest.approx([1.5, 10 / 3, 10 / 3, 10 / 3])
+    assert (windows[3].request.text, windows[3].request.action) == ("caption 1", "")
+
+
+@dataclass(frozen=True)
+class FramerateField:
+    """A field whose every coordinate is the framerate that it is sampled at."""
+
+    end_seconds: float = 4.0
+    fps: Fraction = Fraction(0)
+    start_seconds: float = 0.0
+    skeleton: Skeleton = SMPL22
+
+    def at_fps(self, fps: Fraction) -> "FramerateField":
+        return replace(self, fps=fps)
+
+    def query(self, times_seconds: np.ndarray) -> Poses:
+        return Poses(np.full((len(times_seconds), 22, 3), float(self.fps), dtype=np.float32))
+
+
+def test_fields_are_sampled_at_every_instant_of_a_framerate_that_they_know() -> None:
+    real = real_motion([81, 201], [20, 20]).at(Fraction(20))
+    model = ScriptedModel(lambda request, chance: swing, max_duration_seconds=2.0)
+    fields = generate_fields(model, windows_of(real, 2.0), seed=0, limit=100)
+    samples = sample_fields(fields, ["take1"], Fraction(120), "model")
+    assert samples is not None and (samples.num_sequences, samples.fps) == (5, 120)
+    np.testing.assert_array_equal(samples.sequences[0], swing(np.arange(241) / 120))
+    assert sample_fields(fields, ["unknown"], Fraction(120), "model") is None
+    assert len(generate_fields(model, windows_of(real, 2.0), seed=0, limit=3)) == 3
+    aware = sample_fields({Window("take", 0, GenerationRequest(4.0)): FramerateField()}, ["take"], Fraction(20), "m")
+    assert aware is not None and (aware.sequences.values == 20.0).all()
+
+
+def walkers(fps: int, seconds: float = 4.0, speed: float = 1.2) -> SampleSet:
+    """Two rigid bodies, one walking along +Z, one along +X."""
+    rest = rest_positions(SMPL22)
+    rest = rest - [0.0, rest[:, 1].min(), 0.0]
+    path = speed * np.arange(int(seconds * fps))[:, None, None] / fps
+    sequences = [rest + path * [0.0, 0.0, 1.0], rest[:, [2, 1, 0]] * [1, 1, -1] + path * [1.0, 0.0, 0.0]]
+    return sample_set("walkers", Fraction(fps), [each.astype(np.float32) for each in sequences], ["z", "x"])
+
+
+def test_slerp_keeps_every_known_pose() -> None:
+    low = walkers(20)
+    high = upsampled(low, Fraction(60), "up")
+    assert (high.fps, high.name, high.sequence_ids) == (60, "up", low.sequence_ids)
+    for before, after in zip(low.sequences, high.sequences, strict=True):
+        np.testing.assert_allclose(after[::3], before, atol=1e-5)
+
+
+@pytest.mark.parametrize(("fps_from", "fps_to"), [("20", "60"), ("20", "50"), ("25/2", "20"), ("20", "30000/1001")])
+def test_upsampling_many_at_a_time_is_upsampling_each(fps_from: str, fps_to: str) -> None:
+    rng, take = np.random.default_rng(0), walkers(20, 8.0).sequences[0]
+    sequences = [take[start : start + length] for start, length in rng.integers(1, 60, (12, 2)).tolist()]
+    slow, fast = Fraction(fps_from), Fraction(fps_to)
+    for found, sequence in zip(each_upsampled(sequences, slow, fast), sequences, strict=True):
+        np.testing.assert_allclose(found, upsampled_positions(sequence, slow, fast), rtol=0, atol=1e-6)
+
+
+def test_unscaled_vectors_multiply_the_path() -> None:
+    low = walkers(20)
+    for before, after in zip(low.sequences, upsample_as_vectors(low, Fraction(60), "x").sequences, strict=True):
+        length, grown = (
+            np.linalg.norm(each[0, 0] - end) for each, end in ((before, before[-2, 0]), (after, after[-1, 0]))
+        )
+        assert grown == pytest.approx(3 * length, rel=0.05)
+        np.testing.assert_allclose(after[:, 15, 1], before[0, 15, 1], atol=1e-3)
+
+
+RNG = np.random.default_rng(0)
+REAL = RNG.normal(size=(300, 12)) * np.linspace(0.1, 30, 12)
+
+
+def test_copies_are_counted_to_rounding_whatever_their_order() -> None:
+    copies, others = REAL[RNG.permutation(300)[:40]] * (1 + 1e-12), RNG.normal(size=(25, 12))
+    assert num_copies(REAL, np.concatenate((others, copies)), 1e-6) == 40
+    near = REAL[:5].copy()
+    near[:, 7] += 0.01
+    assert num_copies(REAL, near, 1e-6) == 0
+    # Equal first numbers are no copies.
+    assert num_copies(np.concatenate((np.zeros((9, 1)), REAL[:9, 1:]), axis=1), np.zeros((2, 12)), 1e-6) == 0
+
+
+def test_fewer_motions_are_reported_with_what_as_many_real_ones_score() -> None:
+    few = RNG.normal(size=(50, 12)) * np.linspace(0.1, 30, 12)
+    (remark,) = size_remarks(REAL, REAL, few, seed=3)
+    assert remark.startswith("as many random real motions (50) have an FID of ")
+    mean = float(remark.split("FID of ")[1].split(" from")[0])
+    drawn = [fid(REAL, REAL[np.random.default_rng(i).choice(300, 50, replace=False)]) for i in range(200)]
+    assert abs(mean - np.mean(drawn)) < 3 * np.std(drawn) / np.sqrt(10)
+    (copied,) = size_remarks(REAL, REAL[:200], REAL, seed=0)
+    assert copied.startswith("300 of 300 motions are real motions")
+    # Where FID compares with the real motions of the same texts, there are no fewer of either.
+    assert size_remarks(REAL, REAL[:50], few, seed=3) == size_remarks(REAL, REAL, REAL + 0.5, seed=0) == []
+
+
+def test_sequences_of_the_real_set_are_found_in_any_order() -> None:
+    def moving(seed: int) -> SampleSet:
+        rng = np.random.default_rng(seed)
+        return sample_set("real", Fraction(30), list(rng.normal(size=(4, 60, 22, 3)).astype(np.float32)), "abcd")
+
+    real, other = moving(0), moving(2)
+    half = sample_set("half", Fraction(30), [*other.sequences, real.sequences[3], real.sequences[0]], "abcdef")
+    remarks = set_remarks(real, {"half": half, "copy": real.select([2, 0, 1, 3]), "other": other})
+    counts = ["half, 30 fps: 2 of 6 sequences", "copy, 30 fps: 4 of 4 sequences"]
+    assert [remark.split(" are copies")[0] for remark in remarks] == counts
