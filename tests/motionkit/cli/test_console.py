@@ -108,17 +108,6 @@ def test_warnings_are_lines_on_stderr(monkeypatch: pytest.MonkeyPatch, capsys: p
     assert capsys.readouterr() == ("other: of others\n", 2 * "motionkit: warning: [bold] of a\\nb\n")
 
 
-def test_the_end_of_a_long_message_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
-    name = "x" * 1_000_000
-    console.stderr.print(f"motionkit: {name}\x1b is damaged: delete it")
-    shown = capsys.readouterr().err
-    assert len(shown) < 2 * console.LONGEST_MESSAGE and shown.count("\n") == 1
-    assert shown.startswith("motionkit: xxx") and shown.endswith("\\x1b is damaged: delete it\n")
-    assert f"{1_000_037 - console.LONGEST_MESSAGE:,} letters left out" in shown
-    console.stdout.print(name)
-    assert capsys.readouterr().out == f"{name}\n"
-
-
 def test_framerates_are_exact() -> None:
     assert parse_rate("30000/1001") == Fraction(30000, 1001)
     assert parse_rate(None) is None

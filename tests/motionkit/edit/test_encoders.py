@@ -9,13 +9,7 @@ import pytest
 
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
-from motionkit.edit.encoders import (
-    choose_encoder,
-    encoder_loader,
-    installed_encoders,
-    runs_with,
-    trained_encoder_names,
-)
+from motionkit.edit.encoders import choose_encoder, encoder_loader, installed_encoders, runs_with, trained_encoder_names
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses
 from motionkit.training.run import Loader, RunFolder

@@ -15,10 +15,7 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.assembly import AssembledField, Piece, assemble, chain, even_starts
 from motionkit.fields.interpolation import InterpolatedField, Method, interpolate
-from motionkit.fields.motion_field import (
-    MotionField,
-    Poses,
-)
+from motionkit.fields.motion_field import MotionField, Poses
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.turning_body import random_motion
 from tests.helpers.velocities import joint_velocities
@@ -66,11 +63,7 @@ def seams(field: AssembledField) -> np.ndarray:
 
 
 @settings(max_examples=12)
-@given(
-    st.integers(0, 1000),
-    st.lists(st.floats(0.3, 1.5), min_size=1, max_size=4),
-    st.booleans(),
-)
+@given(st.integers(0, 1000), st.lists(st.floats(0.3, 1.5), min_size=1, max_size=4), st.booleans())
 def test_velocity_is_continuous_at_every_join(seed: int, overlaps: list[float], rotations: bool) -> None:
     rng = np.random.default_rng(seed)
     method: Method = "rotation-cubic" if rotations else "cubic"

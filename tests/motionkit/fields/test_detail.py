@@ -9,15 +9,7 @@ from hypothesis import strategies as st
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
-from motionkit.fields.detail import (
-    NUM_BANDS,
-    Detail,
-    DetailedField,
-    band_power,
-    detailed,
-    fit_detail,
-    with_ends,
-)
+from motionkit.fields.detail import NUM_BANDS, Detail, DetailedField, band_power, detailed, fit_detail, with_ends
 from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions

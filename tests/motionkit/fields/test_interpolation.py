@@ -14,13 +14,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation import INTERPOLATORS, Method, Settling, interpolate
-from motionkit.fields.motion_field import (
-    MotionEncoder,
-    MotionField,
-    Observation,
-    Poses,
-    to_motion,
-)
+from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Poses, to_motion
 from motionkit.io.bvh import write_bvh
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.pages import run_page

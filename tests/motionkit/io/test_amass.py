@@ -98,9 +98,6 @@ def test_poses_in_parts_are_those_of_one_array(tmp_path: Path) -> None:
     write_amass(tmp_path / "parts" / "a_stageii.npz", fields | parts)
     whole, again = (read_one(tmp_path / name) for name in ("whole", "parts"))
     assert np.array_equal(whole.joint_positions, again.joint_positions)
-    body_only = {key: parts[key] for key in ("root_orient", "pose_body")} | {"trans": fields["trans"]}
-    write_amass(tmp_path / "body" / "a.npz", body_only | {"mocap_frame_rate": 60})
-    assert np.array_equal(read_one(tmp_path / "body").joint_positions, whole.joint_positions)
 
 
 NAN, FAR = standing_poses(), np.zeros((4, 3))

@@ -95,10 +95,7 @@ FRAMES = [
     ([standing(), [*standing()[:4], 0.0, *standing()[5:]]], "range"),
     ({"0": standing()}, "not-what-it-says"),
 ]
-CONTENTS = [
-    (b'{"Loop": "w\xffrap", "Frames": []}', "encoding"),
-    (b'{"Frames": ' + b"[" * 100_000, "not-what-it-says"),
-]
+CONTENTS = [(b'{"Loop": "w\xffrap", "Frames": []}', "encoding"), (b'{"Frames": ' + b"[" * 100_000, "not-what-it-says")]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ import pytest
 
 import motionkit as mk
 from motionkit.fields.motion_field import to_motion
-from motionkit.io import gltf
 from motionkit.io.registry import writers
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.format_samples import bvh_text as person_bvh
@@ -101,20 +100,6 @@ def test_another_suffix_is_refused_with_those_there_are(motion: mk.Motion, tmp_p
     with pytest.raises(mk.UsageError, match=r"\.bvh"):
         mk.write(motion, tmp_path / name)
     assert not list(tmp_path.iterdir())
-
-
-def test_what_fails_leaves_the_former_file(motion: mk.Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "walk.glb"
-    mk.write(motion, path)
-    former = path.read_bytes()
-
-    def full(*arguments: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(gltf.GlbBuffer, "write", full)
-    with pytest.raises(OSError):
-        mk.write(motion, path)
-    assert path.read_bytes() == former and list(tmp_path.iterdir()) == [path]
 
 
 def test_joints_of_another_skeleton_become_the_22(motion: mk.Motion, tmp_path: Path) -> None:

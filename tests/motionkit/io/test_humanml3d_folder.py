@@ -90,11 +90,7 @@ def test_captions_and_motions_that_miss_each_other(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("line", "expected"),
-    [
-        ("walk#walk/VERB#nan#nan", (0.0, None)),
-        ("walk#walk/VERB#6.0#2.5", (2.5, 6.0)),
-        ("walk", (0.0, None)),
-    ],
+    [("walk#walk/VERB#nan#nan", (0.0, None)), ("walk#walk/VERB#6.0#2.5", (2.5, 6.0)), ("walk", (0.0, None))],
 )
 def test_segments(tmp_path: Path, line: str, expected: tuple[float, float | None]) -> None:
     (tmp_path / "a.txt").write_text(line + "\n\n", newline="")

@@ -69,19 +69,6 @@ def test_licences_are_found(source: Path) -> None:
 # Links
 
 
-def test_a_linked_folder_is_read_with_what_stands_beside_its_motions(source: Path, tmp_path: Path) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    (elsewhere / "run.bvh").write_text(bvh_text())
-    (elsewhere / "takes.csv").write_text("file,caption,fps\nrun.bvh,a person runs,50\n")
-    (elsewhere / "LICENSE").write_text("CC0\n")
-    (source / "linked").symlink_to(elsewhere)
-    (item,) = (each for each in scan([source]).items if each.sequence_id == "takes/linked/run")
-    motion = read(item)
-    assert (motion.captions[0].text, motion.fps, motion.provenance.licence) == ("a person runs", 50, "CC0")
-    assert motion.provenance.source_path == "linked/run.bvh"
-
-
 def test_loops_end_and_nothing_is_found_twice(tmp_path: Path) -> None:
     source, outside = tmp_path / "takes", tmp_path / "outside"
     for folder in (source / "b", outside / "one", outside / "two"):

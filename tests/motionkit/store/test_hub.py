@@ -16,7 +16,7 @@ import motionkit as mk
 from motionkit.cli.export import export
 from motionkit.cli.hub import pull, push
 from motionkit.cli.ingest import ingest
-from motionkit.core.errors import DamagedFileError, MotionkitWarning, StoreError
+from motionkit.core.errors import DamagedFileError, StoreError
 from motionkit.store.commit import read_manifest
 from motionkit.store.hub import HubError
 from motionkit.store.life import compact, remove
@@ -162,14 +162,6 @@ def test_complete_stages_of_a_run_go_and_come_back(hub: Hub, run_folder: RunFold
         assert not run_folder.path.with_name("damaged").exists()
         run_folder.stage("field").model_path.write_bytes(damaged)
         assert isinstance(run(push, "hf://me/walker", "--run", "walker").exception, DamagedFileError)
-
-
-def test_names_that_no_file_can_have_cost_their_own_file(hub: Hub) -> None:
-    names = ["good.bvh", "half\ud800.bvh", f"{'x' * 300}.bvh", "../outside.bvh", "[a]*.bvh"]
-    hub.add("datasets/me/takes", {name: bvh_text().encode() for name in names})
-    with pytest.warns(MotionkitWarning):
-        output = done(ingest, "hf://datasets/me/takes", "--workers", "1")
-    assert "stored 2 sequences" in output
 
 
 def test_captures_of_a_repository_are_ingested_under_its_name(hub: Hub, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,7 @@ from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.store import Store
 from motionkit.store import ingest as module
 from motionkit.store.ingest import body_size_warning, ingest
-from motionkit.store.workers import CALLS_IN_FLIGHT_PER_WORKER, Workers, check_engine, start_workers
+from motionkit.store.workers import check_engine, start_workers
 from tests.helpers.small_bvh import two_joints_bvh
 
 
@@ -121,33 +120,8 @@ def test_a_body_of_no_persons_size_is_reported(skeleton: Skeleton, warns: bool) 
     assert bool(body_size_warning(skeleton)) == warns
 
 
-@pytest.fixture(scope="module", params=["this process", "processes", "ray"])
-def started(request: pytest.FixtureRequest) -> Iterator[Workers]:
-    engine, number = {"this process": ("local", 1), "processes": ("local", 2), "ray": ("ray", 2)}[request.param]
-    with start_workers(engine, number) as running:
-        yield running
-
-
-def ten_times(number: int) -> int:
-    return 10 * number
-
-
 def refuse(number: int) -> int:
     raise OSError(28, "No space left on device", "part.new")
-
-
-def test_outputs_come_in_order_and_few_calls_are_in_flight(started: Workers) -> None:
-    submitted = []
-
-    def numbers() -> Iterator[int]:
-        for number in range(60):
-            submitted.append(number)
-            yield number
-
-    results = started.map(ten_times, numbers(), ten_times)
-    first = [next(results) for _ in range(10)]
-    assert len(submitted) <= 10 + CALLS_IN_FLIGHT_PER_WORKER * started.num_workers
-    assert [*first, *results] == [(number, 10 * number) for number in range(60)]
 
 
 @pytest.mark.parametrize(("engine", "number"), [("local", 1), ("local", 2), ("ray", 2)])

@@ -56,10 +56,7 @@ def test_removed_sequences_are_gone_and_the_others_keep_their_numbers(tmp_path, 
     made = motions(make_motion)
     path = write(tmp_path / "store", made, pieces=4)
     before = Store.open(path)
-    assert set(remove(path, ["take-5"], where="split = 'test'")) == {
-        "take-5",
-        *(f"take-{i}" for i in range(0, 40, 4)),
-    }
+    assert set(remove(path, ["take-5"], where="split = 'test'")) == {"take-5", *(f"take-{i}" for i in range(0, 40, 4))}
     kept = [i for i in range(40) if i % 4 and i != 5]
     assert_holds(path, [made[i] for i in kept], kept)
     store = Store.open(path)

@@ -137,14 +137,7 @@ def test_the_commit_is_that_of_this_code_and_of_no_checkout_around_it(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    "changed",
-    [
-        {"config": 7},
-        {"recipe": ["nano"]},
-        {"seed": "0"},
-        {"store_fingerprint": [1]},
-        {"builds_on": [1]},
-    ],
+    "changed", [{"config": 7}, {"recipe": ["nano"]}, {"seed": "0"}, {"store_fingerprint": [1]}, {"builds_on": [1]}]
 )
 def test_a_config_of_other_types_is_named(changed: dict[str, Any], tmp_path: Path) -> None:
     folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")

@@ -66,10 +66,7 @@ def _run(*arguments: str) -> dict[str, object]:
 
 def test_all_stages_are_trained_and_reported(folder: Path) -> None:
     report = _run("--set", "second.steps=9", "--seed", "3")
-    assert report["stages"] == [
-        {"stage": "first", "steps": 5, "seed": 3},
-        {"stage": "second", "steps": 9, "seed": 3},
-    ]
+    assert report["stages"] == [{"stage": "first", "steps": 5, "seed": 3}, {"stage": "second", "steps": 9, "seed": 3}]
     assert (folder / "runs" / "nano" / "second" / "config.json").is_file()
 
 
@@ -83,10 +80,7 @@ def test_complete_stages_are_kept_by_resume(folder: Path) -> None:
 def test_a_complete_stage_is_not_kept_for_what_it_is_not(folder: Path) -> None:
     _run("--run", "mine")
     for arguments, message in (
-        (
-            ("--set", "second.steps=7"),
-            r"second was begun from other inputs \(second.steps 5 → 7\): use the same ones",
-        ),
+        (("--set", "second.steps=7"), r"second was begun from other inputs \(second.steps 5 → 7\): use the same ones"),
         (("--seed", "4"), r"first was begun from other inputs \(seed 0 → 4\)"),
     ):
         with pytest.raises(RunError, match=message):

@@ -20,9 +20,7 @@ from motionkit.core.kinematics import quaternion_rotate
 from motionkit.core.motion import Caption
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import rest_positions
-from motionkit.fields.motion_field import to_motion
 from motionkit.viz.player import Packed, Panel, drawing_of, pack, write_page
-from tests.helpers.analytic import analytic_motion
 from tests.helpers.packed import unpack
 
 
@@ -30,7 +28,7 @@ def test_bones_sides_and_ends_of_the_22_joints() -> None:
     drawing = drawing_of(SMPL22, rest_positions(SMPL22)[None])
     assert drawing.bones == SMPL22.parents
     assert [SMPL22.joint_names[joint] for joint in drawing.ends] == [
-        *("left_foot", "right_foot", "left_wrist", "right_wrist"),
+        *("left_foot", "right_foot", "left_wrist", "right_wrist")
     ]
     sides = {"left": -1, "right": 1}
     assert drawing.sides == tuple(sides.get(name.split("_")[0], 0) for name in SMPL22.joint_names)
@@ -46,19 +44,6 @@ def test_the_front_is_where_the_body_was_turned_to(skeleton: Skeleton, turned: f
     # KIT's hips are at the other side of X: its bodies face Z- at rest.
     faces = turned if skeleton is SMPL22 else turned + np.pi
     np.testing.assert_allclose(np.exp(1j * drawing.yaw), np.exp(1j * faces), atol=1e-2)
-
-
-def test_a_joint_that_travels_hangs_on_no_bone() -> None:
-    motion = to_motion(analytic_motion("walk", 2.0), Fraction(30))
-    still = Skeleton(
-        "on-the-floor",
-        ("reference", *motion.skeleton.joint_names),
-        (-1, *(parent + 1 for parent in motion.skeleton.parents)),
-        np.concatenate([np.zeros((1, 3), np.float32), motion.skeleton.offsets]),
-    )
-    positions = np.concatenate([np.zeros((motion.num_frames, 1, 3), np.float32), motion.joint_positions], axis=1)
-    bones = drawing_of(still, positions).bones
-    assert bones[:2] == (-1, -1) and bones[2:] == still.parents[2:]
 
 
 @st.composite
