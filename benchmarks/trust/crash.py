@@ -111,8 +111,6 @@ class Drill:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.nothing = folder / "nothing"
-        self.nothing.mkdir(parents=True, exist_ok=True)
         self.expected: dict[str, Expected] = {}
 
     def start_of(self, name: str) -> Path:
@@ -122,7 +120,9 @@ class Drill:
             return path
         base, commands = STARTS[name]
         making = path.with_name(f"{path.name}.making")
-        copy(self.start_of(base) if base else self.nothing, making)
+        if base:
+            copy(self.start_of(base), making)
+        making.mkdir(parents=True, exist_ok=True)
         for arguments in commands:
             require_success(run_command(making, arguments), arguments)
         making.rename(path)
@@ -174,9 +174,7 @@ class Drill:
 
     def run(self, scenario: Scenario, place: Path, fault: Fault = UNDISTURBED, *, repeating: bool = False) -> Outcome:
         """Run the scenario's command, or its repetition."""
-        every = 0.0 if scenario.saves_every_step else None
-        arguments = scenario.repetition if repeating else scenario.command
-        return run_command(place, arguments, fault, checkpoint_seconds=every)
+        return run_command(place, scenario.repetition if repeating else scenario.command, fault)
 
 
 def run(
@@ -296,17 +294,11 @@ def tree(folder: Path) -> dict[str, str]:
 
 
 def difference(found: Mapping[str, str], expected: Mapping[str, str]) -> str:
-    """The differences of two trees, in a few words; empty if there are none."""
-    lines = []
-    for words, names in (
-        ("left over", found.keys() - expected.keys()),
-        ("missing", expected.keys() - found.keys()),
-        ("different", {name for name in found.keys() & expected.keys() if found[name] != expected[name]}),
-    ):
-        if names:
-            more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-            lines.append(f"{words}: {', '.join(sorted(names)[:SHOWN])}{more}")
-    return "; ".join(lines)
+    """The differences of two trees, the first few of each kind; empty if there are none."""
+    differing = {name for name in found.keys() & expected.keys() if found[name] != expected[name]}
+    left, missing = found.keys() - expected.keys(), expected.keys() - found.keys()
+    kinds = {"left over": left, "missing": missing, "different": differing}
+    return "; ".join(f"{kind}: {', '.join(sorted(names)[:SHOWN])}" for kind, names in kinds.items() if names)
 
 
 def copy(source: Path, target: Path) -> None:

@@ -79,30 +79,27 @@ class Outcome:
         return "Traceback" in self.err or "Exception ignored" in self.err
 
 
-def run_command(
-    folder: Path,
-    arguments: Sequence[str],
-    fault: Fault = UNDISTURBED,
-    *,
-    checkpoint_seconds: float | None = None,
-) -> Outcome:
+def run_command(folder: Path, arguments: Sequence[str], fault: Fault = UNDISTURBED) -> Outcome:
     """Run `motionkit ARGUMENTS` in a folder, or the function that `call:MODULE:NAME` names with the rest of them.
 
-    `checkpoint_seconds` is the interval of checkpoints, by default motionkit's.
+    A training saves a checkpoint after every step.
     """
+    # This code, one thread for each library, no settings of a user's.
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("MOTIONKIT_")}
+    path = [str(REPOSITORY), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    environment |= dict.fromkeys(ONE_THREAD, "1") | {"PYTHONPATH": os.pathsep.join(path)}
     read, write = os.pipe()
     with tempfile.NamedTemporaryFile() as operations, os.fdopen(read) as notes:
         request = {
             "arguments": list(map(str, arguments)),
             "fault": asdict(fault),
-            "checkpoint_seconds": checkpoint_seconds,
             "operations": operations.name,
             "begun": write,
         }
         process = subprocess.Popen(
             [sys.executable, "-m", "benchmarks.trust.process", json.dumps(request)],
             cwd=folder,
-            env=one_thread(),
+            env=environment,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -131,13 +128,6 @@ def run_command(
     return Outcome(code, out, err, seconds, is_left, names)
 
 
-def one_thread() -> dict[str, str]:
-    """The environment of a process of the drill: this code, one thread for each library, no settings of a user's."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("MOTIONKIT_")}
-    path = [str(REPOSITORY), *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
-    return environment | dict.fromkeys(ONE_THREAD, "1") | {"PYTHONPATH": os.pathsep.join(path)}
-
-
 def _strike(process: "subprocess.Popen[str]", fault: Fault) -> None:
     with contextlib.suppress(ProcessLookupError):
         (os.killpg if fault.kind == "interrupt" else os.kill)(process.pid, SIGNALS[fault.kind])
@@ -160,11 +150,11 @@ def main() -> None:
     request = json.loads(sys.argv[1])
     from motionkit.cli.app import main as app
 
-    if request["checkpoint_seconds"] is not None:
+    if request["arguments"][0] == "train":
         from motionkit.training.loop import train_loop
 
         assert train_loop.__kwdefaults__ is not None
-        train_loop.__kwdefaults__["checkpoint_seconds"] = request["checkpoint_seconds"]
+        train_loop.__kwdefaults__["checkpoint_seconds"] = 0.0
     _install(Fault(**request["fault"]), Path.cwd(), os.open(request["operations"], os.O_WRONLY))
     os.close(request["begun"])
     first, *rest = request["arguments"]

@@ -63,7 +63,6 @@ class Scenario:
 
     `again` is the command to recover, by default the same. `refusal` is its message if it refuses to overwrite what it
     has already written. `whole` names files that are never partially written. `modes` are the kinds of `Fault` to try.
-    A training saves after every step.
     """
 
     name: str
@@ -74,7 +73,6 @@ class Scenario:
     store: str = "store"
     whole: tuple[str, ...] = ()
     modes: tuple[str, ...] = EVERY
-    saves_every_step: bool = False
 
     @property
     def repetition(self) -> Arguments:
@@ -85,7 +83,7 @@ class Scenario:
 def _training(stage: str, start: str) -> Scenario:
     whole = tuple(f"runs/drill/{stage}/{name}" for name in ("config.json", "model.safetensors", "summary.json"))
     command = train(stage)
-    return Scenario(f"train {stage}", start, command, (*command, "--resume"), whole=whole, saves_every_step=True)
+    return Scenario(f"train {stage}", start, command, (*command, "--resume"), whole=whole)
 
 
 def _export(kind: str) -> Scenario:
