@@ -1,4 +1,4 @@
-"""Generative peers from a store to motion: what they learn from, that they learn it, resume, answer, and refuse."""
+"""Peers from a store to motion: what they learn from, that they resume, answer, and refuse."""
 
 import os
 import shutil
@@ -12,16 +12,25 @@ import pytest
 import torch
 
 from motionkit.core.errors import UsageError
+from motionkit.core.motion import Motion
+from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import TimeGrid
+from motionkit.edit.encoders import encoder_loader
 from motionkit.features import native
+from motionkit.fields.completion import complete, upsample
+from motionkit.fields.motion_field import Observation
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, load_model
 from motionkit.store.reader import Store
 from motionkit.training import loop
+from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
-from motionkit.training.run import RunError, RunFolder
+from motionkit.training.run import RunError, RunFolder, StageContext
 from peers.motions import MotionCorpus, open_corpus
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.tiny_peers import STAGES, tiny_config, train_peer, write_captioned_store
+from tests.helpers.tiny_temporal import SYSTEMS, TEMPORAL_PEERS
 
+ON_GRIDS_ONLY = ("liif", "meta-sr", "a-liif", "lmf")
 MODELS = ("mdm", "mdm-50", "mld", "inr-mlp", "actor", "t2m", "camdm", "flow", "jl2p", "hier", "nemf")
 # Those that draw nothing.
 DETERMINISTIC = ("jl2p", "hier")
@@ -36,14 +45,16 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def run(store: Path) -> Path:
+    """All systems trained into one run."""
     torch.set_num_threads(1)
+    run = store.parent / "run"
     for name in STAGES:
-        train_peer(name, store, store.parent / "run")
-    return store.parent / "run"
-
-
-def figures(run: Path, name: str) -> list[dict[str, float]]:
-    return [line | {"seconds": 0.0} for line in RunFolder(run).stage(name).read_metrics()]
+        train_peer(name, store, run)
+    for name, system in SYSTEMS.items():
+        context = StageContext(store, RunFolder(run), "tiny", seed=5, device="cpu")
+        system.check(context, TEMPORAL_PEERS[name])
+        system.train(context, TEMPORAL_PEERS[name])
+    return run
 
 
 @pytest.mark.parametrize("name", ["mdm-50", "mld", "inr-mlp", "t2m"])
@@ -62,8 +73,8 @@ def test_an_interrupted_training_equals_an_uninterrupted_one(
         train_peer(name, store, tmp_path)
     train_peer(name, store, tmp_path, resume=True)
     again, whole = (RunFolder(each).stage(name) for each in (tmp_path, run))
-    assert figures(tmp_path, name) == figures(run, name)
-    assert again.model_path.read_bytes() == whole.model_path.read_bytes()
+    ours, theirs = ([line | {"seconds": 0.0} for line in each.read_metrics()] for each in (again, whole))
+    assert ours == theirs and again.model_path.read_bytes() == whole.model_path.read_bytes()
 
 
 def corpus_of(store: Path, **changed: object) -> MotionCorpus:
@@ -152,3 +163,52 @@ def test_stages_see_what_their_settings_say(store: Path) -> None:
     batch = stretches.batch(rows, torch.Generator().manual_seed(0), drop=0.0)
     assert batch.rows.shape == (8, 16, 263) and (batch.lengths == 16).all()
     assert (batch.frames.diff(dim=1) == 1).all() and len(set(batch.frames[:, 0].tolist())) > 3
+
+
+def capture() -> Motion:
+    grid = TimeGrid(Fraction(30), 46)
+    return Motion(analytic_positions(grid.seconds(), 1), SMPL22, grid)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_tiny_training_learns(run: Path, name: str) -> None:
+    metrics = RunFolder(run).stage(name).read_metrics()
+    assert [int(line["step"]) for line in metrics] == [50, 60]
+    assert metrics[1]["loss"] < 0.9 * metrics[0]["loss"]
+
+
+@pytest.mark.parametrize("name", ON_GRIDS_ONLY)
+def test_a_trained_grid_peer_upsamples_and_refuses_gaps(run: Path, name: str) -> None:
+    encoder, motion = encoder_loader(name).load(run), capture()
+    assert encoder.name == encoder_loader(name).title
+    made = upsample(motion, Fraction(60), encoder)
+    assert made.num_frames == 91
+    np.testing.assert_array_equal(made.joint_positions[::2], motion.joint_positions)
+    observed = np.ones(46, bool)
+    observed[20:23] = False
+    with pytest.raises(
+        ValueError, match=r"evenly spaced frames, but the gaps .* from 0\.0333 to 0\.1333 s: use frames of one"
+    ):
+        complete(motion, encoder, observed=observed)
+    # Every 1.2-th real frame: gaps of one and of two frames.
+    kept = np.floor(np.arange(38) * 1.2 + 1e-9).astype(int)
+    field = encoder.encode(Observation.of(motion).rows(kept))
+    assert np.isfinite(field.query(motion.timegrid.seconds()[:45]).joint_positions).all()
+
+
+@pytest.mark.parametrize("name", ["delta-interp", "ts-former"])
+def test_a_trained_inbetweener_fills_a_gap_at_any_framerate(run: Path, name: str) -> None:
+    encoder, motion = encoder_loader(name).load(run), capture()
+    observed = np.ones(46, bool)
+    observed[20:28] = False
+    made = complete(motion, encoder, observed=observed)
+    np.testing.assert_array_equal(made.joint_positions[observed], motion.joint_positions[observed])
+    field = encoder.encode(Observation.of(motion, observed))
+    finer = field.query(20 / 30 + np.arange(17) / 60.0).joint_positions
+    np.testing.assert_allclose(finer[::2][:8], made.joint_positions[20:28], atol=1e-4)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_weights_of_curves_are_pa_hires_alone(name: str) -> None:
+    with pytest.raises(UsageError, match=r"leave training\.answer\.blended empty"):
+        apply_overrides(SYSTEMS[name].stage.recipe("nano"), ["training.answer.blended=linear"])
