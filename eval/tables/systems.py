@@ -204,15 +204,13 @@ def generated_fields(config: EvalConfig, real: SampleSet) -> tuple[ModelFields, 
 class Column:
     """All sets of one framerate; `train` is None without training motion.
 
-    `systems` are the rows that models generated at this framerate, and those of samples. Rows in `subset_sizes` are
-    scored by random subsets of that many sequences.
+    Rows in `subset_sizes` are scored by random subsets of that many sequences.
     """
 
     fps: Fraction
     real: SampleSet
     rows: Mapping[RowId, SampleSet]
     train: SampleSet | None
-    systems: tuple[RowId, ...] = ()
     subset_sizes: Mapping[RowId, int] = field(default_factory=dict)
 
     def comparison(self, source: Any, config: EvalConfig) -> Comparison:
@@ -249,25 +247,22 @@ def make_column(fps: Fraction, real: RealMotion, train: RealMotion, fields: Mode
         low = low.select([place[sequence_id] for sequence_id in reference.sequence_ids])
         rows[SLERP] = upsampled(low, fps, str(SLERP))
         rows[VECTORS] = upsample_as_vectors(low, fps, str(VECTORS))
-    systems = []
     for row, samples in generated_at(fields, reference, fps, config.missing).items():
         rows[row] = samples
         if row.variant is not Variant.AS_IS:
             continue
-        systems.append(row)
         framed = is_framed(fields[row])
         coarse_row = RowId(row.system, Variant.AS_VECTORS if framed else Variant.UPSAMPLED)
         coarse = sample_fields(fields[row], reference.sequence_ids, LOW_FPS, str(coarse_row))
         if coarse is not None and fps >= LOW_FPS:
             rows[coarse_row] = (upsample_as_vectors if framed else upsampled)(coarse, fps, str(coarse_row))
-    others = samples_at(real, fps, config)
-    rows |= others
+    rows |= samples_at(real, fps, config)
     sizes = {}
     if column.train is not None and train is not real:
         takes = [each.num_takes for row, each in rows.items() if row not in REFERENCES]
         rows[TRAINING] = column.train
         sizes[TRAINING] = min([*(takes or [reference.num_takes]), column.train.num_sequences])
-    return Column(fps, reference, rows, column.train, (*systems, *others), sizes)
+    return Column(fps, reference, rows, column.train, sizes)
 
 
 def generated_at(fields: ModelFields, real: SampleSet, fps: Fraction, missing: Missing) -> dict[RowId, SampleSet]:
@@ -291,7 +286,10 @@ def samples_at(real: RealMotion, fps: Fraction, config: EvalConfig) -> dict[RowI
     for folder in config.sample_folders:
         with task(config.on_progress, f"{folder.name}, {label(fps)}"):
             every = folder.at(fps)
-        found = takes_of_samples(folder, real).of_column(every, real.at(fps))
+        takes = takes_of_samples(folder, real)
+        if takes.num_without:
+            config.missing.add(f"{folder.name}: {takes.num_without:,} motions are for none of the compared takes")
+        found = takes.of_column(every, real.at(fps))
         if found is None:
             config.missing.add(f"{folder.name}, {label(fps)}: {NOT_SO_FAST}")
         else:

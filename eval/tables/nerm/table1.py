@@ -261,14 +261,12 @@ class _OneEvaluator:
 
     def _real_row(self) -> ScoredRow:
         """Real motion under the protocol; without FID if that would be a set's distance from itself."""
-        own = self.pairs.select(self.chosen)
-        if self.protocol.reference == "redraw":
-            note = "its FID is what dropped remainders and the choice of motions leave"
-            return ScoredRow(REAL, "reference", self._score(self.pairs, [own]), note)
-        row = self._scored(REAL, "", own if self.protocol.reference == "paired" else self.pairs, [own], self.chosen)
-        for name in ("fid", "fid_infinity", "kid"):
+        own, reference = self.pairs.select(self.chosen), self.protocol.reference
+        note = "its FID is what dropped remainders and the choice of motions leave" if reference == "redraw" else ""
+        row = self._scored(REAL, note, own if reference == "paired" else self.pairs, [own], self.chosen)
+        for name in ("fid", "fid_infinity", "kid") if reference != "redraw" else ():
             row.scores.replications.pop(name, None)
-        return replace(row, origin="reference")
+        return row
 
     def _model_rows(self, name: str, trained: TrainedModel) -> list[ScoredRow]:
         """A model's rows, as generated and planted."""
@@ -312,17 +310,8 @@ class _OneEvaluator:
             ranked = tuple(
                 score_retrieval(reference, draws, rule, sentences, self.config.seed) for rule in self.protocol.retrieval
             )
-        scores = self._score(reference, draws, repeated)
-        return ScoredRow(row, "ours", scores, "; ".join(filter(None, (note, *remarks))), ranked)
-
-    def _score(
-        self,
-        reference: TextMotionPairs,
-        draws: list[TextMotionPairs],
-        repeated: Float64[np.ndarray, "texts generations features"] | None = None,
-    ) -> Scores:
         with task(self.config.on_progress, "scoring", self.protocol.replications) as work:
-            return score_text_motion(
+            scores = score_text_motion(
                 reference,
                 draws,
                 self.protocol,
@@ -331,6 +320,8 @@ class _OneEvaluator:
                 pair_score=self.evaluator.pair_score,
                 on_replication=work.advance,
             )
+        origin: Origin = "reference" if row == REAL else "ours"
+        return ScoredRow(row, origin, scores, "; ".join(filter(None, (note, *remarks))), ranked)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,9 @@ from threadpoolctl import threadpool_limits
 from eval.clip_fid.score import CLIP_FID, VERSION, Comparison, FeatureSource, feature_sources
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, differences_block, measure, of_interest
-from eval.sample_folder.folder import takes_of_samples
 from eval.sets.copies import HELD_OUT_SHARE, STILL_METRES, TrainingWindows, held_out_limit
-from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, RealMotion, real_motion, sample_fields, training_motion
-from eval.sets.sets import REAL, RowId, SampleSet, Variant, set_remarks
+from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, real_motion, training_motion
+from eval.sets.sets import REAL, Missing, RowId, SampleSet, Variant, set_remarks
 from eval.tables.systems import (
     COLUMNS,
     LOW_FPS,
@@ -25,6 +24,7 @@ from eval.tables.systems import (
     Column,
     ModelFields,
     detail_blocks,
+    generated_at,
     generated_fields,
     label,
     make_column,
@@ -131,8 +131,9 @@ def compute(config: EvalConfig, store: Store) -> Content:
         # One column's motions at a time: all framerates together need three times the memory.
         column, name = make_column(fps, real, train, generated, config), label(fps)
         real_sets[name] = {"sequences": column.real.num_sequences, "seconds": column.real.duration_seconds}
-        num_generated[name] = {str(row): column.rows[row].num_sequences for row in column.systems if row in generated}
         others = {str(row): samples for row, samples in column.rows.items() if row not in REFERENCES}
+        as_is = [row for row in generated if row.variant is Variant.AS_IS]
+        num_generated[name] = {str(row): column.rows[row].num_sequences for row in as_is if row in column.rows}
         remarks |= dict.fromkeys(set_remarks(column.real, others))
         for sheet in sheets:
             with config.missing.skipping(f"{name}, {sheet.source.name}"):
@@ -141,8 +142,17 @@ def compute(config: EvalConfig, store: Store) -> Content:
         del column
         for motion in (real, train):
             motion.forget_all_but(LOW_FPS)
-    with task(config.on_progress, "copies of training motion"):
-        copies = _copies(real, train, generated, notes, config)
+    copies: list[Block] = []
+    with (
+        task(config.on_progress, "copies of training motion"),
+        config.missing.skipping("copies of training motion", (NoRealMotionError, ValueError)),
+    ):
+        if train.name == real.name:
+            raise NoRealMotionError("the compared motion is the training motion")
+        fields = {row: fields for row, fields in generated.items() if row.variant is Variant.AS_IS}
+        slow = generated_at(fields, real.at(LOW_FPS), LOW_FPS, Missing())
+        slow |= {RowId(folder.name): folder.at(LOW_FPS) for folder in config.sample_folders}
+        copies.append(copies_block(real.at(LOW_FPS), train.at(LOW_FPS), slow, notes))
     protocol, minutes = config.clips, min(each["seconds"] for each in real_sets.values()) / 60
     small = "" if 60 * minutes >= SMALL_SECONDS else f" A small-scale run: real sets from {minutes:.1f} minutes on."
     return Content(
@@ -169,7 +179,6 @@ def compute(config: EvalConfig, store: Store) -> Content:
         },
         notes=(
             "Columns hold different sequences, so numbers compare down a column, not along a row.",
-            *_unmatched(real, config),
             *remarks,
         ),
     )
@@ -191,47 +200,13 @@ def _too_few(column: Column, comparison: Comparison) -> list[str]:
     """Remarks on columns with no more samples than features, whose covariances are singular."""
     size = comparison.num_features
     counts = {"the real set": column.real.num_sequences}
-    counts |= {str(row): column.rows[row].num_sequences for row in column.systems}
+    own = {row: samples for row, samples in column.rows.items() if row not in REFERENCES}
+    counts |= {str(row): each.num_sequences for row, each in own.items() if row.variant is Variant.AS_IS}
     few = ", ".join(f"{name} ({count})" for name, count in counts.items() if count <= size)
     few = few and f"At {label(column.fps)} these have no more motions than there are features ({size}): {few}."
     num_clips = comparison.protocol.num_clips
     singular = f"With {num_clips} clips for {size} features every covariance is singular." if num_clips <= size else ""
     return list(filter(None, (few, singular)))
-
-
-def _unmatched(real: RealMotion, config: EvalConfig) -> list[str]:
-    """Remarks on folders whose motions are not for the compared takes."""
-    notes = []
-    for folder in config.sample_folders:
-        found = takes_of_samples(folder, real)
-        if not any(found.takes):
-            notes.append(f"{folder.name}: neither names nor captions name real takes, so all are in every column.")
-        elif found.num_without:
-            notes.append(
-                f"{folder.name}: {found.num_without:,} of {folder.num_motions:,} motions are for none of the compared "
-                "takes, by name or caption: left out."
-            )
-    return notes
-
-
-def _copies(
-    real: RealMotion, train: RealMotion, fields: ModelFields, notes: Mapping[RowId, str], config: EvalConfig
-) -> list[Block]:
-    """The block on copies of training motion; none if there is no training split or it is too short."""
-    blocks = []
-    with config.missing.skipping("copies of training motion", (NoRealMotionError, ValueError)):
-        if train.name == real.name:
-            raise NoRealMotionError("the compared motion is the training motion")
-        held_out, training = real.at(LOW_FPS), train.at(LOW_FPS)
-        generated = {
-            row: sample_fields(own, held_out.sequence_ids, LOW_FPS, str(row))
-            for row, own in fields.items()
-            if row.variant is Variant.AS_IS
-        }
-        others = {row: samples for row, samples in generated.items() if samples is not None}
-        others |= {RowId(folder.name): folder.at(LOW_FPS) for folder in config.sample_folders}
-        blocks.append(copies_block(held_out, training, others, notes))
-    return blocks
 
 
 def copies_block(
@@ -241,6 +216,7 @@ def copies_block(
 
     Sets without a moving second have no row. Raises `ValueError` where the training motion is too short.
     """
+    windows = TrainingWindows.of(training)
     windows = TrainingWindows.of(training)
     found = {}
     # One thread is the fastest for matrices of this size.

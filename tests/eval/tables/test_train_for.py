@@ -79,14 +79,12 @@ class World:
 
     clock: Clock = field(default_factory=Clock)
     trained: list[str] = field(default_factory=list)
-    num_threads: list[int] = field(default_factory=list)
 
     def stage(self, name: str, builds_on: Callable[[Config], tuple[str, ...]], share: float = 1.0) -> Stage[Config]:
         def train(context: StageContext, config: Config) -> None:
             self.trained.append(name)
             fingerprint = read_manifest(context.store).fingerprint
             folder = context.begin(name, config, store_fingerprint=fingerprint, builds_on=builds_on(config))
-            self.num_threads.append(torch.get_num_threads())
             training = Climb(config.steps, self.clock)
             context.train(training, folder, "float32")
             save_tensors(folder.model_path, training.state_tensors(), {})
@@ -145,6 +143,19 @@ def test_what_a_table_lacks_is_trained_in_order(world: World) -> None:
     assert world.trained == ORDER
 
 
+def test_a_budget_is_spent_by_one_thread_and_measured_once(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    threads: list[int] = []
+    step = Climb.step
+    monkeypatch.setattr(Climb, "step", lambda *args: (threads.append(torch.get_num_threads()), step(*args))[1])
+    run("--budget", "40m")
+    assert set(threads) == {1}
+    folder = StageFolder(Path("runs/nano/gan"))
+    steps = folder.read_summary()["steps"]
+    folder.summary_path.unlink()
+    monkeypatch.setattr("tests.eval.tables.test_train_for.SECONDS_A_STEP", 7.0)
+    assert run("--budget", "40m")["gan"]["steps"] == steps
+
+
 def test_what_is_complete_is_kept_and_the_rest_goes_on(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = run("--run", "whole")
     stop = Climb.step
@@ -184,26 +195,6 @@ def test_every_system_has_the_same_budget(world: World) -> None:
     run("--run", "told", "--set", f"steps={int(found['gan']['steps'])}")
     told, measured = (load_tensors(Path("runs") / each / "gan" / "model.safetensors")[0] for each in ("told", "nano"))
     assert torch.equal(told["weight"], measured["weight"])
-
-
-def test_a_budget_that_was_measured_is_not_measured_again(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    run("--budget", "40m")
-    folder = StageFolder(Path("runs/nano/gan"))
-    steps = folder.read_summary()["steps"]
-    folder.summary_path.unlink()
-    monkeypatch.setattr("tests.eval.tables.test_train_for.SECONDS_A_STEP", 7.0)
-    assert run("--budget", "40m")["gan"]["steps"] == steps
-
-
-def test_a_budget_is_spent_by_one_thread(world: World) -> None:
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
-        run("--budget", "40m")
-        assert world.num_threads == [1] * len(world.trained)
-        assert torch.get_num_threads() == 2
-    finally:
-        torch.set_num_threads(before)
 
 
 def test_a_budget_of_stages_of_no_system_is_refused(world: World) -> None:

@@ -122,14 +122,8 @@ def test_a_model_that_is_the_real_motion_scores_like_it(
     assert rows["NeRM"][FID] < 0.2 * rows[FLOOR][FID]
     assert FID not in rows["real"]
     assert rows[ORACLE][TOP1] == 1.0
-    assert {name: each["N"] for name, each in rows.items() if "N" in each} == {
-        FLOOR: 35,
-        "real": 70,
-        "NeRM": 70,
-        "NeRM, planted": 70,
-        "NeRM, fixed framerate": 70,
-        "NeRM, fixed framerate, planted": 70,
-    }
+    systems = ("real", "NeRM", "NeRM, planted", "NeRM, fixed framerate", "NeRM, fixed framerate, planted")
+    assert {name: each["N"] for name, each in rows.items() if "N" in each} == {FLOOR: 35, **dict.fromkeys(systems, 70)}
     assert rows["NeRM, planted"][MM_DIST] != rows["NeRM"][MM_DIST]
     # 0.001 times a normal number on every coordinate: pairs are 0.002/√π apart in each of the four that are seen.
     assert rows["NeRM"][MULTIMODALITY] == pytest.approx(2 * 0.002 / np.sqrt(np.pi), rel=0.2)
