@@ -66,48 +66,50 @@ UNTRAINED = tuple(row for row in INTERPOLATION if row.name in ("SLERP", "cubic s
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
-    """The scores of every row on one data set, and a remark on its clips."""
+class Clips:
+    """One data set's clips, what measures a row on them, and a remark on them."""
 
-    scope: Scope
+    label: str
+    fps: Fraction
     num_takes: int
     remark: str
+    measure: Callable[[Completer], Scores]
 
 
-def _of_data_sets(
-    data_sets: Iterable[DataSet], measure: Callable[[DataSet], Measured], config: EvalConfig
-) -> list[Measured]:
-    """Measure every data set that has takes; raises `NoTakesError` if none has."""
-    measured, without = [], []
-    for data_set in data_sets:
-        try:
-            measured.append(measure(data_set))
-        except NoTakesError as error:
-            without.append(f"{data_set.label}: {error}")
-    if not measured:
-        raise NoTakesError(shared_reason(without))
-    config.missing.add(*without)
-    return measured
-
-
-def _scores(
+def _scored(
     name: str,
-    label: str,
+    data_sets: Iterable[DataSet],
+    opened: Callable[[DataSet], Clips],
     terms: Mapping[str, Any],
     completers: Sequence[Completer],
-    measure: Callable[[Completer], Scores],
     config: EvalConfig,
-) -> dict[str, Scores]:
-    """Every row's scores on one data set, cached for these terms; rows that fail are missing."""
-    rows: dict[str, Scores] = {}
-    with task(config.on_progress, label, len(completers)) as work:
-        for completer in completers:
-            work.note(completer.name)
-            with config.missing.skipping(f"{label}, {completer.name}", (MotionkitError, ValueError)):
-                key = {**terms, "split": config.split, "where": config.where, "encoder": completer.fingerprint}
-                rows[completer.name] = cached(config.results, name, key, partial(measure, completer))
-            work.advance()
-    return rows
+) -> tuple[list[Scope], list[Clips]]:
+    """Every row's scores on every data set that has takes, cached for these terms; rows that fail are missing.
+
+    Raises `NoTakesError` if no data set has takes.
+    """
+    found, without, scopes = [], [], []
+    for data_set in data_sets:
+        try:
+            with task(config.on_progress, f"clips of {data_set.name}"):
+                found.append(opened(data_set))
+        except NoTakesError as error:
+            without.append(f"{data_set.label}: {error}")
+    if not found:
+        raise NoTakesError(shared_reason(without))
+    config.missing.add(*without)
+    for clips in found:
+        rows: dict[str, Scores] = {}
+        with task(config.on_progress, clips.label, len(completers)) as work:
+            for each in completers:
+                work.note(each.name)
+                with config.missing.skipping(f"{clips.label}, {each.name}", (MotionkitError, ValueError)):
+                    conditions = {"data set": clips.label, "split": config.split, "where": config.where}
+                    key = {**terms, **conditions, "encoder": each.fingerprint}
+                    rows[each.name] = cached(config.results, name, key, partial(clips.measure, each))
+                work.advance()
+        scopes.append(Scope(clips.label, clips.fps, rows))
+    return with_pools(scopes, "clips"), found
 
 
 def _encoders(completers: Sequence[Completer]) -> dict[str, Any]:
@@ -124,61 +126,39 @@ def _interpolated(
     scales: Sequence[Fraction],
     completers: Sequence[Completer],
     config: EvalConfig,
-) -> list[Measured]:
-    """Interpolation at some scales on every data set that has clips; raises `NoTakesError` if none has."""
+) -> tuple[list[Scope], Content]:
+    """Interpolation at some scales on every data set that has clips, and a content without blocks."""
 
-    def measure(data_set: DataSet) -> Measured:
-        label = data_set.label
+    def opened(data_set: DataSet) -> Clips:
         clips = open_clips(store, data_set, config.split, config.where, CLIP_FRAMES, CLIP_FRAMES)
-        remark = f"{label}: {clips.num_clips:,} clips of {clips.num_takes:,} takes"
+        remark = f"{data_set.label}: {clips.num_clips:,} clips of {clips.num_takes:,} takes"
         try:
             training = open_clips(store, data_set, "train", None, CLIP_FRAMES, CLIP_FRAMES)
         except NoTakesError:
             training, remark = clips, f"{remark}, whose deviations stand for those of training clips"
-        scale = measure_scale(training)
-        terms = {
-            "version": VERSION,
-            "store": store.fingerprint,
-            "data set": [data_set.column, data_set.value, str(data_set.fps)],
-            "scales": [str(each) for each in scales],
-        }
-        rows = _scores(
-            "interpolation",
-            label,
-            terms,
-            completers,
-            partial(measure_interpolation, clips, scale, scales),
-            config,
-        )
         left_out = {
             f"shorter than {clips.num_frames} frames": clips.num_short,
             "of framerates that are no multiple of the table's": clips.num_other_fps,
         }
         reasons = " and ".join(f"{count:,} {why}" for why, count in left_out.items() if count)
         remark += (f"; left out are {reasons}" if reasons else "") + f"; {split_remark(store, clips, config.split)}"
-        return Measured(Scope(label, data_set.fps, rows), clips.num_takes, remark)
+        measure = partial(measure_interpolation, clips, measure_scale(training), scales)
+        return Clips(data_set.label, data_set.fps, clips.num_takes, remark, measure)
 
-    return _of_data_sets(data_sets, measure, config)
-
-
-def _interpolation_content(
-    title: str, measured: Sequence[Measured], blocks: Iterable[Block], definition: Mapping[str, Any], config: EvalConfig
-) -> Content:
-    return Content(
+    terms = {"version": VERSION, "store": store.fingerprint, "scales": [str(each) for each in scales]}
+    scopes, clips = _scored("interpolation", data_sets, opened, terms, completers, config)
+    small = min(each.num_takes for each in clips) < SMALL_TAKES
+    content = Content(
         caption=(
-            f"{title}{NUM_GIVEN} real frames of every clip are given and all frames between them asked for; no "
-            f"frame of the truth is interpolated. S{config.real[1:]}."
-            + (SMALL if min(each.num_takes for each in measured) < SMALL_TAKES else "")
+            f"Of every clip {NUM_GIVEN} real frames are given and all frames between them asked for; no frame of the "
+            f"truth is interpolated. S{config.real[1:]}.{SMALL if small else ''}"
         ),
-        blocks=blocks,
-        definition={
-            "given_frames": NUM_GIVEN,
-            "clip_frames": CLIP_FRAMES,
-            "psnr_ceiling_db": CEILING_DB,
-            **definition,
-        },
-        notes=(*(each.remark for each in measured), INTERVALS),
+        blocks=(),
+        definition={"given_frames": NUM_GIVEN, "clip_frames": CLIP_FRAMES, "psnr_ceiling_db": CEILING_DB},
+        notes=(*(each.remark for each in clips), INTERVALS),
+        provenance=_encoders(completers),
     )
+    return scopes, content
 
 
 def interpolation(scales: Sequence[Fraction], table: str, config: EvalConfig, store: Store) -> Content:
@@ -189,33 +169,30 @@ def interpolation(scales: Sequence[Fraction], table: str, config: EvalConfig, st
     store.select(config.condition)  # raises at once for SQL that is wrong
     trained = trained_completers("interpolation", config.run, config.encoders, config.missing)
     completers = [*INTERPOLATION, *trained]
-    measured = _interpolated(store, data_sets_of(store, config.fps), scales, completers, config)
+    scopes, content = _interpolated(store, data_sets_of(store, config.fps), scales, completers, config)
     labels = tuple(map(scale_label, scales))
     further = [find_metric(name) for name in ("rotation_angle_error", *TIMED_METRICS) if name not in METRICS]
     titles = {
         metric.name: metric.title[0].lower() + metric.title[1:] + (f" ({metric.unit})" if metric.unit else "")
         for metric in further
     }
-    scopes = with_pools([each.scope for each in measured], "clips")
     printed: dict[tuple[str, str], list[Reported]] = {}
     for figure in reported_figures("pahires", table):
         if figure.value is not None:
             printed.setdefault((figure.dataset, figure.metric), []).append(figure)
-    blocks = [
-        *blocks_of(scopes, completers, Shown(labels, METRICS, {"mpjpe_global": titles})),
-        *(
-            printed_block(
-                f"Printed in the PA-HiRes paper, {data_set}: {PRINTED_METRICS[metric]}",
-                figures,
-                lambda figure: "×" + figure.setting.removeprefix("x"),
-                columns=labels,
-                lower_is_better=False,
-                note=f"Undefined pose vector, range and clips; trained for 1,000 epochs. Source: {SOURCES['pahires']}.",
-            )
-            for (data_set, metric), figures in printed.items()
-        ),
-    ]
-    return replace(_interpolation_content("", measured, blocks, {}, config), provenance=_encoders(completers))
+    printed_blocks = (
+        printed_block(
+            f"Printed in the PA-HiRes paper, {data_set}: {PRINTED_METRICS[metric]}",
+            figures,
+            lambda figure: "×" + figure.setting.removeprefix("x"),
+            columns=labels,
+            lower_is_better=False,
+            note=f"Undefined pose vector, range and clips; trained for 1,000 epochs. Source: {SOURCES['pahires']}.",
+        )
+        for (data_set, metric), figures in printed.items()
+    )
+    blocks = blocks_of(scopes, completers, Shown(labels, METRICS, {"mpjpe_global": titles}))
+    return replace(content, blocks=(*blocks, *printed_blocks))
 
 
 # Trained runs by the entries' names, then by seed.
@@ -246,22 +223,20 @@ def ablation_table(ablation: Ablation, config: EvalConfig, store: Store) -> Cont
     if not data_sets:
         named = ", ".join(f"{float(rate):g}" for rate in rates)
         raise NoTakesError(f"no data set stands at {named} fps, which the runs were trained for")
-    measured = _interpolated(store, data_sets, (ABLATED_SCALE,), [*UNTRAINED, *completers], config)
-    scopes = with_pools([each.scope for each in measured], "clips")
+    scopes, content = _interpolated(store, data_sets, (ABLATED_SCALE,), [*UNTRAINED, *completers], config)
     steps = " or ".join(sorted({f"{each['schedule']['steps']:,}" for each in training}))
-    content = _interpolation_content(
-        f"One setting changes, after {steps} steps, at {scale_label(ABLATED_SCALE)}. ",
-        measured,
-        (*(block for scope in scopes for block in _ablated(ablation, scope, runs)), *_starts(scopes, runs)),
-        {"variants": {entry.name: list(entry.variant.change) for entry in ablation.entries}},
-        config,
-    )
-    summaries = {run.path.name: run.stage(STAGE).read_summary() for run in folders}
+    changes = {entry.name: list(entry.variant.change) for entry in ablation.entries}
     return replace(
         content,
-        blocks=(*content.blocks, *_printed_ablation(ablation.table)),
+        caption=f"One setting changes, after {steps} steps, at {scale_label(ABLATED_SCALE)}. {content.caption}",
+        blocks=(
+            *(block for scope in scopes for block in _ablated(ablation, scope, runs)),
+            *_starts(scopes, runs),
+            *_printed_ablation(ablation.table),
+        ),
+        definition={**content.definition, "variants": changes},
         runs=tuple(run.path for run in folders),
-        provenance={"runs": summaries, "trained": _encoders(completers)["trained"]},
+        provenance={"runs": {run.path.name: run.stage(STAGE).read_summary() for run in folders}, **content.provenance},
     )
 
 
@@ -383,27 +358,20 @@ def window_table(table: WindowTable, config: EvalConfig, store: Store) -> Conten
     trained = trained_completers(table.task, config.run, config.encoders, config.missing)
     completers = [*table.rows, *trained]
 
-    def measure(data_set: DataSet) -> Measured:
-        with task(config.on_progress, f"windows of {data_set.name}"):
-            is_lafan1 = data_set.value == "lafan1"
-            windows = (
-                lafan1_windows(store) if is_lafan1 else data_set_windows(store, data_set, config.split, config.where)
-            )
-        rows = _scores(
-            table.task,
-            windows.name,
-            {"version": table.version, "store": store.fingerprint, "windows": windows.name},
-            completers,
-            partial(measure_windows, windows, table.questions),
-            config,
-        )
-        return Measured(Scope(windows.name, FPS, rows), 0, f"{windows.name}: {windows.remark}")
+    def opened(data_set: DataSet) -> Clips:
+        if data_set.value == "lafan1":
+            windows = lafan1_windows(store)
+        else:
+            windows = data_set_windows(store, data_set, config.split, config.where)
+        measure = partial(measure_windows, windows, table.questions)
+        return Clips(windows.name, FPS, 0, f"{windows.name}: {windows.remark}", measure)
 
-    measured = _of_data_sets((each for each in data_sets_of(store) if each.fps == FPS), measure, config)
+    terms = {"version": table.version, "store": store.fingerprint}
+    data_sets = (each for each in data_sets_of(store) if each.fps == FPS)
+    scopes, clips = _scored(table.task, data_sets, opened, terms, completers, config)
     columns = tuple(question.label for question in table.questions)
-    scopes = with_pools([each.scope for each in measured], "windows")
     return Content(
-        caption=f"{table.caption} S{config.real[1:]}: {' '.join(each.remark for each in measured)}",
+        caption=f"{table.caption} S{config.real[1:]}: {' '.join(each.remark for each in clips)}",
         blocks=(
             *blocks_of(scopes, completers, Shown(columns, table.metrics, table.details)),
             *(_printed_inbetweening(columns) if table is INBETWEENING else []),
@@ -450,25 +418,23 @@ def _ablation_table(number: str) -> Table:
     return replace(table, heading=f"PA-HiRes, {table.place}: {ablation.title}")
 
 
+def _window_table(number: str, title: str, heading: str, table: WindowTable) -> Table:
+    return Table(
+        "pahires",
+        number,
+        title,
+        table.version,
+        partial(window_table, table),
+        heading=f"PA-HiRes{heading}",
+        shown=partial(installed_encoders, table.task),
+        task="pahires-extrapolation" if table is EXTRAPOLATION else "",
+    )
+
+
 TABLE_1 = _interpolation_table("1", "integer", INTEGER_SCALES)
 TABLE_2 = _interpolation_table("2", "non-integer", OTHER_SCALES)
-TABLE_3 = Table(
-    "pahires",
-    "3",
-    "in-betweening (LaFAN1's protocol)",
-    INBETWEENING_VERSION,
-    partial(window_table, INBETWEENING),
-    heading="PA-HiRes, Table 3: in-betweening",
-    shown=partial(installed_encoders, "inbetweening"),
-)
+TABLE_3 = _window_table("3", "in-betweening (LaFAN1's protocol)", ", Table 3: in-betweening", INBETWEENING)
 TABLE_4, FIGURE_5, FIGURE_6 = map(_ablation_table, ("4", "figure5", "figure6"))
-TABLE_EXTRAPOLATION = Table(
-    "pahires",
-    "extrapolation",
-    "extrapolation, forwards and backwards",
-    EXTRAPOLATION_VERSION,
-    partial(window_table, EXTRAPOLATION),
-    heading="PA-HiRes: extrapolation",
-    shown=partial(installed_encoders, "extrapolation"),
-    task="pahires-extrapolation",
+TABLE_EXTRAPOLATION = _window_table(
+    "extrapolation", "extrapolation, forwards and backwards", ": extrapolation", EXTRAPOLATION
 )
