@@ -224,11 +224,11 @@ def ablation_table(ablation: Ablation, config: EvalConfig, store: Store) -> Cont
         named = ", ".join(f"{float(rate):g}" for rate in rates)
         raise NoTakesError(f"no data set stands at {named} fps, which the runs were trained for")
     scopes, content = _interpolated(store, data_sets, (ABLATED_SCALE,), [*UNTRAINED, *completers], config)
-    steps = " or ".join(sorted({f"{each['schedule']['steps']:,}" for each in training}))
+    steps = sorted({f"{each['schedule']['steps']:,} steps, form {each['answer']['form']}" for each in training})
     changes = {entry.name: list(entry.variant.change) for entry in ablation.entries}
     return replace(
         content,
-        caption=f"One setting changes, after {steps} steps, at {scale_label(ABLATED_SCALE)}. {content.caption}",
+        caption=f"One setting changes, after {' or '.join(steps)}, at {scale_label(ABLATED_SCALE)}. {content.caption}",
         blocks=(
             *(block for scope in scopes for block in _ablated(ablation, scope, runs)),
             *_starts(scopes, runs),

@@ -54,7 +54,7 @@ def test_variants_are_trained_and_shown_by_two_commands(
     assert both[0] != both[1]
     assert psnr["own parameters in every layer"]["ζ = 16"]["value"] == pytest.approx(sum(both) / 2)
     assert set(psnr["SLERP, not trained"]) == {f"ζ = {count}" for count in (1, 2, 4, 8, 16, 32)}
-    assert "steps 2, batch 8, form exact" in result["caption"]
+    assert "after 2 steps, form exact" in result["caption"]
     assert any("motionkit ablate 4 --paper pahires --run tiny --only sines-1)" in line for line in result["missing"])
     printed = {row["name"]: row["cells"] for row in result["blocks"][-2]["rows"]}
     assert printed["own parameters (paper)"]["ζ = 16"]["value"] == 30.53

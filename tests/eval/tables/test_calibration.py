@@ -26,16 +26,11 @@ def graded(*means: float, family: str = "jitter") -> Graded:
     return Graded(family, "m", tuple(0.001 * level for level in range(1, len(means))), clean, tuple(levels))
 
 
-def test_damage_passes_where_its_severest_level_is_seen() -> None:
-    rising = graded(1.0, 1.1, 2.0, 5.0)
+def test_damage_passes_where_its_severest_level_is_seen_and_slow_damage_where_the_score_follows_it() -> None:
+    rising, falls_back = graded(1.0, 1.1, 2.0, 5.0), (1.0, 3.0, 2.0, 5.0, 4.0)
     assert rising.passes and rising.spearman == pytest.approx(1.0) and rising.first_seen == 0.002
     assert graded(1.0, 3.0, 1.05).first_seen is None and not graded(1.0, 3.0, 1.05).passes
-
-
-def test_of_slow_damage_the_score_has_to_follow_the_severity() -> None:
-    falls_back = (1.0, 3.0, 2.0, 5.0, 4.0)
-    assert graded(*falls_back).passes
-    assert not graded(*falls_back, family="foot-sliding").passes
+    assert graded(*falls_back).passes and not graded(*falls_back, family="foot-sliding").passes
 
 
 def takes(noise_metres: float = 0.001) -> SampleSet:

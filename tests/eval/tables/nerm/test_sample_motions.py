@@ -71,29 +71,31 @@ def test_answers_to_one_prompt_are_draws_and_multimodality() -> None:
     assert found.draws[0].texts.tolist() == [[5, 5], [4, 4]]
 
 
-def test_samples_belong_to_real_motions_by_name_or_else_by_caption() -> None:
-    named = sample_embeddings(folder(["x/r2.npy", "x/r0.npy"], ["sits", "sits"]), real(), PAIRED, EMBEDDER)
-    assert named.real_rows is not None and named.real_rows.tolist() == [2, 0]
-    captioned = folder(["0", "1", "2"], ["walks", "sits", "walks"])
-    told = sample_embeddings(captioned, real(), PAIRED, EMBEDDER)
-    assert told.real_rows is not None and told.real_rows.tolist() == [0, 3, 2]
+@pytest.mark.parametrize(
+    ("names", "captions", "rows"),
+    [
+        (["x/r2.npy", "x/r0.npy"], ["sits", "sits"], [2, 0]),
+        (["0", "1", "2"], ["walks", "sits", "walks"], [0, 3, 2]),
+        # Without a real motion: left out.
+        (["0", "1", "2"], ["walks", "walks", "walks"], [0, 2]),
+        (["0", "1", "2"], ["walks", "unheard of", "sits"], [0, 3]),
+        # Most names fit: names decide, and the caption of another real motion doesn't.
+        (["r2", "r9", "r0"], ["sits"] * 3, [2, 0]),
+    ],
+)
+def test_samples_belong_to_real_motions_by_name_or_else_by_caption(
+    names: list[str], captions: list[str], rows: list[int]
+) -> None:
+    found = sample_embeddings(folder(names, captions), real(), PAIRED, EMBEDDER)
+    assert found.real_rows is not None and found.real_rows.tolist() == rows
+    assert len(found.draws[0].motions) == len(rows)
+    assert (found.remarks == ()) == (len(rows) == len(names))
+    assert sample_embeddings(folder(names, captions), real(), NATIVE, EMBEDDER).real_rows is None
 
 
-def test_samples_without_a_real_motion_are_left_out_and_reported() -> None:
-    for captions, rows in ((["walks", "walks", "walks"], [0, 2]), (["walks", "unheard of", "sits"], [0, 3])):
-        found = sample_embeddings(folder(["0", "1", "2"], captions), real(), PAIRED, EMBEDDER)
-        assert found.real_rows is not None and found.real_rows.tolist() == rows
-        assert len(found.draws[0].motions) == 2
-        assert found.remarks == ("1 of 3 have no real motion of their text that takes part: left out",)
-        assert sample_embeddings(folder(["0", "1", "2"], captions), real(), NATIVE, EMBEDDER).real_rows is None
-    # Most names fit: names decide, and the caption of another real motion doesn't.
-    named = sample_embeddings(folder(["r2", "r9", "r0"], ["sits"] * 3), real(), PAIRED, EMBEDDER)
-    assert named.real_rows is not None and named.real_rows.tolist() == [2, 0]
-    with pytest.raises(UsageError, match="protocol 'mld' compares with the real motions of the same texts"):
+def test_samples_without_captions_or_real_motions_are_refused() -> None:
+    with pytest.raises(UsageError, match="protocol 'mld'"):
         sample_embeddings(folder(["0", "1"], ["unheard of", "new"]), real(), PAIRED, EMBEDDER)
-
-
-def test_samples_without_captions_are_refused() -> None:
     with pytest.raises(SampleFolderError, match="have no caption"):
         sample_embeddings(folder(["0", "1"], ["walks", ""]), real(), NATIVE, EMBEDDER)
 

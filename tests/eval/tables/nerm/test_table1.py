@@ -189,16 +189,16 @@ def test_retrieval_stands_in_blocks_of_its_own(
 def test_embeddings_are_kept_and_motions_are_not_generated_again(
     store: Path, tmp_path: Path, run: Path, models: dict[str, ScriptedModel]
 ) -> None:
-    first = build(store, tmp_path / "results", run, max_motions=40)
-    assert models["nano"].asked == 40 + 30
-    again = build(store, tmp_path / "results", run, max_motions=40)
-    assert models["nano"].asked == 40 + 30
-    assert again.blocks == first.blocks
+    def generated(**changes: int) -> int:
+        before = models["nano"].asked
+        blocks.append(build(store, tmp_path / "results", run, max_motions=40, **changes).blocks)
+        return models["nano"].asked - before
+
+    blocks: list[object] = []
+    assert (generated(), generated()) == (40 + 30, 0)
+    assert blocks[0] == blocks[1]
     (run / "denoiser" / "model.safetensors").write_text("trained on")
-    build(store, tmp_path / "results", run, max_motions=40)
-    assert models["nano"].asked == 2 * (40 + 30)
-    build(store, tmp_path / "results", run, max_motions=40, draws=3)
-    assert models["nano"].asked == 2 * (40 + 30) + 2 * 40
+    assert (generated(), generated(draws=3)) == (40 + 30, 2 * 40)
 
 
 def test_a_model_that_makes_less_crops_the_real_motions(
