@@ -8,14 +8,11 @@ Friedman 2009, §4.3.
 
 import hashlib
 from collections import Counter
-from dataclasses import dataclass
-from fractions import Fraction
-from functools import cached_property
 
 import numpy as np
 from scipy.linalg import eigh
 
-from eval.actions.recognisers import FeaturesAndScores, check_fps
+from eval.actions.recognisers import ActionRecogniser, FeaturesAndScores
 from eval.clip_fid.descriptor import local_poses
 from eval.sets.sets import SampleSet, middle
 from motionkit.core.errors import MotionkitError
@@ -75,47 +72,12 @@ SHRINKAGE = 0.1
 LEAST_SPREAD = 0.01
 
 
-@dataclass(frozen=True, eq=False)
-class LinearRecogniser:
-    """Discriminants fitted on training motions; implements `ActionRecogniser`.
+def fit_linear(train: SampleSet) -> ActionRecogniser:
+    """Fit on a training set's motions with actions; actions with fewer than 10 motions are left out.
 
     A feature vector is `(statistics − centre) / spread @ directions`: one number fewer than there are actions, each
     with a variance of 1 within actions. Scores are log posteriors up to a constant: nearness to each action's mean, and
-    its share of the training motions.
-    """
-
-    fps: Fraction
-    actions: tuple[str, ...]
-    centre: Float64[np.ndarray, "numbers"]
-    spread: Float64[np.ndarray, "numbers"]
-    directions: Float64[np.ndarray, "numbers features"]
-    means: Float64[np.ndarray, "actions features"]
-    log_shares: Float64[np.ndarray, "actions"]
-    name: str = "linear"
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """First 16 hex digits of the sha256 over version, actions and every fitted number."""
-        digest = hashlib.sha256(f"linear/1 {VERSION} {self.fps} {self.actions}".encode())
-        for array in (self.centre, self.spread, self.directions, self.means, self.log_shares):
-            digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
-        return digest.hexdigest()[:16]
-
-    def recognise(self, samples: SampleSet) -> FeaturesAndScores:
-        """Features and scores of every sequence, of its middle 3 s where it is longer.
-
-        Raises `MotionkitError` for another framerate, other joints than the 22, or fewer than 10 frames.
-        """
-        check_fps(self, samples)
-        features = ((statistics_of(samples) - self.centre) / self.spread) @ self.directions
-        apart = ((features[:, None] - self.means) ** 2).sum(axis=2)
-        return features, self.log_shares - 0.5 * apart
-
-
-def fit_linear(train: SampleSet) -> LinearRecogniser:
-    """Fit on a training set's motions with actions; actions with fewer than 10 motions are left out.
-
-    Raises `MotionkitError` where fewer than two actions remain.
+    its share of the training motions. Raises `MotionkitError` where fewer than two actions remain.
     """
     enough = {action for action, count in Counter(train.actions).items() if action and count >= LEAST_TRAINING}
     actions = tuple(sorted(enough))
@@ -140,8 +102,17 @@ def fit_linear(train: SampleSet) -> LinearRecogniser:
     # Signs are fixed by each direction's largest coefficient.
     largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=0)[None], axis=0)
     directions = np.ascontiguousarray(vectors * np.sign(largest))
-    shares = np.bincount(labels) / len(labels)
-    return LinearRecogniser(known.fps, actions, centre, spread, directions, means @ directions, np.log(shares))
+    centres, log_shares = means @ directions, np.log(np.bincount(labels) / len(labels))
+    digest = hashlib.sha256(f"linear/1 {VERSION} {known.fps} {actions}".encode())
+    for array in (centre, spread, directions, centres, log_shares):
+        digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+
+    def describe(samples: SampleSet) -> FeaturesAndScores:
+        features = ((statistics_of(samples) - centre) / spread) @ directions
+        distances = ((features[:, None] - centres) ** 2).sum(axis=2)
+        return features, log_shares - 0.5 * distances
+
+    return ActionRecogniser("linear", known.fps, actions, digest.hexdigest()[:16], describe)
 
 
 def statistics_of(samples: SampleSet) -> Float64[np.ndarray, "sequences numbers"]:

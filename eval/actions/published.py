@@ -12,15 +12,14 @@ rotations from inverse kinematics lack the bones' twist. Source: https://github.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from eval.actions.recognisers import FeaturesAndScores, check_fps, find_recogniser
+from eval.actions.recognisers import ActionRecogniser, FeaturesAndScores, find_recogniser
 from eval.sets.sets import SampleSet
 from eval.text_motion.guo.networks import weights_digest
 from motionkit.core import kinematics
@@ -40,32 +39,16 @@ Rows = Int64[np.ndarray, "clips frames"]
 Outputs = tuple[Float[Tensor, "clips features"], Float[Tensor, "clips actions"]]
 
 
-@dataclass(frozen=True, eq=False)
-class PublishedRecogniser:
-    """A published recogniser with its weights; implements `ActionRecogniser`.
-
-    `inputs` are the network's, from a set of motions and the rows of its clips.
-    """
-
-    name: str
-    fps: Fraction
-    actions: tuple[str, ...]
-    network: nn.Module
-    inputs: Callable[[SampleSet, Rows], Float32[np.ndarray, "clips ..."]]
-    fingerprint: str
-
-    def recognise(self, samples: SampleSet) -> FeaturesAndScores:
-        """Features and scores of every sequence's clip of 60 frames (`clip_rows`).
-
-        Raises `MotionkitError` for another framerate or other joints, and without the rotations that UESTC's needs.
-        """
-        check_fps(self, samples)
-        rows = clip_rows(samples)
-        with torch.inference_mode():
-            batches = (rows[start : start + MOTIONS_AT_ONCE] for start in range(0, len(rows), MOTIONS_AT_ONCE))
-            outputs = [self.network(torch.from_numpy(self.inputs(samples, batch))) for batch in batches]
-        features, scores = (torch.cat(each).double().numpy() for each in zip(*outputs, strict=True))
-        return features, scores
+def describe(
+    network: nn.Module, inputs: Callable[[SampleSet, Rows], Float32[np.ndarray, "clips ..."]], samples: SampleSet
+) -> FeaturesAndScores:
+    """Features and scores of every sequence's clip of 60 frames; `inputs` are the network's, from rows of clips."""
+    rows = clip_rows(samples)
+    with torch.inference_mode():
+        batches = (rows[start : start + MOTIONS_AT_ONCE] for start in range(0, len(rows), MOTIONS_AT_ONCE))
+        outputs = [network(torch.from_numpy(inputs(samples, batch))) for batch in batches]
+    features, scores = (torch.cat(each).double().numpy() for each in zip(*outputs, strict=True))
+    return features, scores
 
 
 def clip_rows(samples: SampleSet) -> Rows:
@@ -116,7 +99,7 @@ def humanact12_inputs(samples: SampleSet, rows: Rows) -> Float32[np.ndarray, "cl
     return np.asarray(clips.reshape(*clips.shape[:2], -1))
 
 
-def load_humanact12(path: Path) -> PublishedRecogniser:
+def load_humanact12(path: Path) -> ActionRecogniser:
     """Read action-to-motion's `model_file/action_recognition_model_humanact12.tar` without running its pickle.
 
     Raises `CheckpointError` for any other file, or another recogniser's checkpoint.
@@ -126,7 +109,7 @@ def load_humanact12(path: Path) -> PublishedRecogniser:
     network = GruNetwork(3 * SMPL.num_joints, len(actions)).eval().requires_grad_(False)
     fill_checked(dict(network.named_parameters()), tensors, "model", path, source.title)
     digest = weights_digest(f"gru-recogniser/1 {source.name} {source.fps} {CLIP_FRAMES}", network.state_dict())
-    return PublishedRecogniser(source.name, source.fps, actions, network, humanact12_inputs, digest)
+    return ActionRecogniser(source.name, source.fps, actions, digest, partial(describe, network, humanact12_inputs))
 
 
 CHANNELS = (64, 64, 64, 64, 128, 128, 128, 256, 256, 256)
@@ -250,7 +233,7 @@ def uestc_inputs(samples: SampleSet, rows: Rows) -> Float32[np.ndarray, "clips f
     return matrices[..., :2, :].reshape(*clips.shape[:3], 6).astype(np.float32)
 
 
-def load_uestc(path: Path) -> PublishedRecogniser:
+def load_uestc(path: Path) -> ActionRecogniser:
     """Read ACTOR's `models/actionrecognition/uestc_rot6d_stgcn.tar` without running its pickle.
 
     Raises `CheckpointError` for any other file: missing or unexpected names, other shapes.
@@ -265,4 +248,4 @@ def load_uestc(path: Path) -> PublishedRecogniser:
         )
     fill_checked(network.state_dict(), found, "weights", path, source.title)
     digest = weights_digest("uestc-stgcn/1", network.state_dict())
-    return PublishedRecogniser(source.name, source.fps, uestc.ACTIONS, network, uestc_inputs, digest)
+    return ActionRecogniser(source.name, source.fps, uestc.ACTIONS, digest, partial(describe, network, uestc_inputs))

@@ -1,10 +1,9 @@
-"""Recognisers of actions: their interface, and each by its name."""
+"""Recognisers of actions, by their names."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -16,37 +15,28 @@ from motionkit.io import joints_npy, uestc
 FeaturesAndScores = tuple[Float64[np.ndarray, "sequences features"], Float64[np.ndarray, "sequences actions"]]
 
 
-@runtime_checkable
-class ActionRecogniser(Protocol):
-    """Classifies motions by action; a motion's row depends on that motion alone."""
+@dataclass(frozen=True, eq=False)
+class ActionRecogniser:
+    """Classifies motions at `fps` by `actions`; a motion's row depends on that motion alone.
 
-    @property
-    def name(self) -> str:
-        """Name for tables."""
+    `fingerprint` is a hash of everything that the numbers depend on: definition, weights, settings. `describe` gives
+    features, and scores in the order of the actions.
+    """
 
-    @property
-    def fingerprint(self) -> str:
-        """Hash of everything that the numbers depend on: definition, weights, settings."""
-
-    @property
-    def fps(self) -> Fraction:
-        """The only framerate that it accepts."""
-
-    @property
-    def actions(self) -> tuple[str, ...]:
-        """Names of the actions, in the order of the scores."""
+    name: str
+    fps: Fraction
+    actions: tuple[str, ...]
+    fingerprint: str
+    describe: Callable[[SampleSet], FeaturesAndScores]
 
     def recognise(self, samples: SampleSet) -> FeaturesAndScores:
         """Features and scores of every sequence. Raises `MotionkitError` for an unsupported framerate or skeleton."""
-
-
-def check_fps(recogniser: ActionRecogniser, samples: SampleSet) -> None:
-    """Raise `MotionkitError` for motions at a framerate that the recogniser does not accept."""
-    if recogniser.fps != samples.fps:
-        raise MotionkitError(
-            f"{samples.name}: motions at {samples.fps} fps, but the recogniser {recogniser.name!r} was trained at "
-            f"{recogniser.fps} fps only; resample them first"
-        )
+        if self.fps != samples.fps:
+            raise MotionkitError(
+                f"{samples.name}: motions at {samples.fps} fps, but the recogniser {self.name!r} was trained at "
+                f"{self.fps} fps only; resample them first"
+            )
+        return self.describe(samples)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ from functools import partial
 
 import numpy as np
 
-from eval.metrics.metric import Metric, by_frames, checked_features
+from eval.metrics.distributions import checked_features
+from eval.metrics.metric import Metric, by_frames
 from motionkit.core.shapes import Float, Float64, Int
 
 NUM_PAIRS = 10

@@ -10,10 +10,28 @@ from functools import cached_property
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from eval.metrics.metric import Metric, checked_features
+from eval.metrics.metric import Metric
 from motionkit.core.shapes import Float, Float64
 
 BLOCK_ROWS = 128
+
+
+def checked_features(
+    features: Float[np.ndarray, "samples features"], name: str, minimum: int
+) -> Float64[np.ndarray, "samples features"]:
+    """Features as float64; raises `ValueError` for other shapes, fewer than `minimum` samples, NaN or infinity."""
+    if features.ndim != 2:
+        raise ValueError(f"{name}: expected an array [samples, features], its shape is {features.shape}")
+    if len(features) < minimum:
+        raise ValueError(f"{name}: at least {minimum} samples are needed, there are {len(features)}")
+    values = np.asarray(features, dtype=np.float64)
+    finite = np.isfinite(values).all(axis=1)
+    if not finite.all():
+        raise ValueError(
+            f"{name}: {int((~finite).sum())} of {len(values)} rows hold NaN or infinity, the first is row "
+            f"{int(np.argmin(finite))}"
+        )
+    return values
 
 
 @dataclass(frozen=True, eq=False)

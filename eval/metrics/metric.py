@@ -1,4 +1,4 @@
-"""Metadata of metrics: unit, direction, source and, for means, the weights; sums of means; validation of features."""
+"""Metadata of metrics: unit, direction, source and, for means, the weights; sums of means."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -6,8 +6,6 @@ from functools import cache
 
 import numpy as np
 import numpy.typing as npt
-
-from motionkit.core.shapes import Float, Float64
 
 Array = npt.NDArray[np.generic]
 
@@ -119,21 +117,3 @@ def find_metric(name: str) -> Metric:
     if name not in known:
         raise KeyError(f"there is no metric {name!r}: {', '.join(known)}")
     return known[name]
-
-
-def checked_features(
-    features: Float[np.ndarray, "samples features"], name: str, minimum: int
-) -> Float64[np.ndarray, "samples features"]:
-    """Features as float64; raises `ValueError` for other shapes, fewer than `minimum` samples, NaN or infinity."""
-    if features.ndim != 2:
-        raise ValueError(f"{name}: expected an array [samples, features], its shape is {features.shape}")
-    if len(features) < minimum:
-        raise ValueError(f"{name}: at least {minimum} samples are needed, there are {len(features)}")
-    values = np.asarray(features, dtype=np.float64)
-    finite = np.isfinite(values).all(axis=1)
-    if not finite.all():
-        raise ValueError(
-            f"{name}: {int((~finite).sum())} of {len(values)} rows hold NaN or infinity, the first is row "
-            f"{int(np.argmin(finite))}"
-        )
-    return values

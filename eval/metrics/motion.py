@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 
+from eval.metrics.distributions import checked_features
 from eval.metrics.metric import (
     Metric,
     by_clip_frames,
@@ -16,7 +17,6 @@ from eval.metrics.metric import (
     by_frames,
     by_numbers,
     by_steps,
-    checked_features,
 )
 from motionkit.core.shapes import Bool, Float, Float64
 

@@ -12,7 +12,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.metrics.metric import Metric, checked_features
+from eval.metrics.distributions import checked_features
+from eval.metrics.metric import Metric
 from motionkit.core.shapes import Bool, Float, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import Framerate, parse_fps

@@ -7,7 +7,8 @@ project counts per frame is counted per frame here, without `fps`: such a value 
 
 import numpy as np
 
-from eval.metrics.metric import Metric, checked_features
+from eval.metrics.distributions import checked_features
+from eval.metrics.metric import Metric
 from eval.metrics.motion import checked_fps
 from motionkit.core.shapes import Bool, Float, Float64
 from motionkit.core.skeleton import SMPL22

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from eval.metrics.metric import Metric, by_frames, checked_features
+from eval.metrics.distributions import checked_features
+from eval.metrics.metric import Metric, by_frames
 from motionkit.core.shapes import Bool, Float, Float64, Int64
 
 RECALL_RANKS = (1, 2, 3, 5, 10)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
-from eval.actions.linear import SHRINKAGE, fit_linear, motion_statistics, statistics_of
-from eval.actions.recognisers import ActionRecogniser
+from eval.actions.linear import LEAST_SPREAD, SHRINKAGE, fit_linear, motion_statistics, statistics_of
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
 from tests.helpers.acting import ACTIONS, acted
@@ -23,7 +22,7 @@ def motions(count: int, seed: int, actions: tuple[str, ...] = ACTIONS) -> Sample
 
 def test_it_tells_motions_apart_that_differ_in_path_or_pose() -> None:
     recogniser = fit_linear(motions(20, 0))
-    assert isinstance(recogniser, ActionRecogniser) and recogniser.actions == ACTIONS
+    assert recogniser.actions == ACTIONS
     held_out = motions(10, 1000)
     features, scores = recogniser.recognise(held_out)
     assert features.shape == (30, 2)
@@ -34,12 +33,14 @@ def test_it_tells_motions_apart_that_differ_in_path_or_pose() -> None:
 def test_it_is_linear_discriminant_analysis() -> None:
     train, held_out = motions(12, 0), motions(5, 500)
     recogniser = fit_linear(train)
-    standard = (statistics_of(train) - recogniser.centre) / recogniser.spread
+    raw = statistics_of(train)
+    centre, spread = raw.mean(axis=0), raw.std(axis=0) + LEAST_SPREAD
+    standard = (raw - centre) / spread
     labels = np.array([ACTIONS.index(action) for action in train.actions])
     means = np.stack([standard[labels == label].mean(axis=0) for label in range(3)])
     within = np.cov((standard - means[labels]).T, bias=True)
     shrunk = (1 - SHRINKAGE) * within + SHRINKAGE * np.trace(within) / len(within) * np.eye(len(within))
-    x = (statistics_of(held_out) - recogniser.centre) / recogniser.spread
+    x = (statistics_of(held_out) - centre) / spread
     inverse = np.linalg.inv(shrunk)
     by_hand = x @ inverse @ means.T - 0.5 * (means @ inverse * means).sum(axis=1)
     _, ours = recogniser.recognise(held_out)

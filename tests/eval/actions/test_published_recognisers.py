@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from eval.actions.published import (
     GruNetwork,
-    PublishedRecogniser,
     StgcnNetwork,
     clip_rows,
     humanact12_inputs,
@@ -171,13 +170,12 @@ CASES = (
 @pytest.mark.parametrize(("write", "load", "samples_of", "by_hand"), CASES)
 def test_features_and_scores_are_those_of_loops_whatever_is_beside_a_motion(
     write: Callable[[Path], Weights],
-    load: Callable[[Path], PublishedRecogniser],
+    load: Callable[[Path], ActionRecogniser],
     samples_of: Callable[..., SampleSet],
     by_hand: Callable[[np.ndarray, Weights], tuple[np.ndarray, np.ndarray]],
     tmp_path: Path,
 ) -> None:
     weights, recogniser = write(tmp_path / "weights.tar"), load(tmp_path / "weights.tar")
-    assert isinstance(recogniser, ActionRecogniser)
     together = recogniser.recognise(samples_of(75, 41))
     for row, length in enumerate((75, 41)):
         alone = samples_of(length)
