@@ -4,6 +4,7 @@ import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache
@@ -11,15 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from eval.sample_folder import bodies
 from eval.sample_folder.arrays import StoredMotion, read_stored
-from eval.sample_folder.bodies import (
-    STATE_STATISTICS,
-    body_faults,
-    check_vectors,
-    padding_remark,
-    published_layout,
-    upright,
-)
 from eval.sample_folder.folder import SampleFolder, SampleFolderError, SampleMotion, left_out_line
 from eval.sample_folder.manifest import MANIFEST, Manifest, read_manifest, read_prompts
 from motionkit.core.errors import FormatError
@@ -86,12 +80,12 @@ def read_sample_folder(
             on_read(number, len(listing.arrays) + len(listing.items))
 
     # Other formats than plain arrays are turned when they are read.
-    arrays, remark = upright(list(motions_of(listing.arrays, 0)), reader.up)
+    arrays, remark = bodies.upright(list(motions_of(listing.arrays, 0)), reader.up)
     motions = [*arrays, *motions_of(listing.items, len(listing.arrays))]
     if not motions:
         raise SampleFolderError(f"--samples {name}: no motion can be read: {left_out_line(left_out, 0)}")
     reader.check_vectors()
-    faults = body_faults(name, motions)
+    faults = bodies.body_faults(name, motions)
     for index, message in faults.items():
         motion = motions[index]
         place = listing.place(motion.path)
@@ -102,7 +96,7 @@ def read_sample_folder(
         raise SampleFolderError(f"--samples {name}: no motion is a body: {left_out_line(left_out, 0)}")
     padded = f"of {reader.num_trimmed:,} motions the last frames, all zeros, were dropped"
     remarks = [*listing.remarks, *([padded] if reader.num_trimmed else []), *([remark] if remark else [])]
-    return SampleFolder.of(name, motions, left_out, (*remarks, *padding_remark(motions)))
+    return SampleFolder.of(name, motions, left_out, (*remarks, *bodies.padding_remark(motions)))
 
 
 @dataclass(frozen=True)
@@ -220,7 +214,7 @@ class _Reader:
         for rows in self.vectors.values():
             stored = np.concatenate(rows)
             stored = stored[:: -(-len(stored) // CHECKED_ROWS)]
-            check_vectors(self.name, stored, self._restored(stored), self.manifest.statistics)
+            bodies.check_vectors(self.name, stored, self._restored(stored), self.manifest.statistics)
 
     def _of_format(self, item: SourceItem) -> SampleMotion:
         options = ReadOptions(fps=self.manifest.fps, unit_metres=self.manifest.unit_metres, up=self.up)
@@ -243,7 +237,7 @@ class _Reader:
         row, beside = self.listing.rows.get(path, {}), self._beside(path.parent)
         numbers = self._trimmed(stored.numbers[: row.get("num_frames")], path)
         numbers = npy.checked_numbers(numbers, path, "" if stored.index is None else f"motion {stored.index}")
-        layout = published_layout(numbers.shape[1]) if numbers.ndim == 2 else None
+        layout = bodies.published_layout(numbers.shape[1]) if numbers.ndim == 2 else None
         fps = self.manifest.fps or row.get("fps") or stored.fps or beside.fps or self.options.fps
         fps = fps or (layout.fps if layout else None)
         if fps is None:
@@ -296,7 +290,7 @@ class _Reader:
         """The statistics that the manifest names; None for raw vectors. Raises `SampleFolderError`."""
         what = f"--samples {self.name}: {width}-number pose vectors"
         if not self.manifest.statistics:
-            raise SampleFolderError(f"{what}, and nothing says whether they are normalised; {STATE_STATISTICS}")
+            raise SampleFolderError(f"{what}, and nothing says whether they are normalised; {bodies.STATE_STATISTICS}")
         files = [path for path in (self.manifest.mean, self.manifest.std) if path is not None]
         try:
             numbers = [npy.read_npy(path, source_file.read_bytes(path), (width,)).astype(np.float64) for path in files]
@@ -319,10 +313,6 @@ def published_group(path: Path) -> str:
 def _caption_beside(path: Path) -> str:
     """The first caption in a text file of the same name, as MLD's demo writes it; empty where there is none."""
     beside = path.with_suffix(".txt")
-    if not beside.is_file() or beside.stat().st_size > MOST_SIDECAR_BYTES:
-        return ""
-    try:
-        captions = texts.read_texts(beside)
-        return captions[0].text if captions else ""
-    except FormatError:
-        return ""
+    with suppress(FormatError, OSError, IndexError):
+        return texts.read_texts(beside)[0].text if beside.stat().st_size <= MOST_SIDECAR_BYTES else ""
+    return ""

@@ -1,4 +1,4 @@
-"""Results survive their file; renderers print what is in them and nothing else."""
+"""Results survive their file, renderers print what is in them and nothing else, differences say who is better."""
 
 import csv
 import json
@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from eval.commands.report import report
+from eval.metrics.number import Number, over_replications
 from eval.report.render import to_csv, to_html, to_latex, to_markdown
 from eval.report.results import (
     Block,
@@ -17,15 +18,22 @@ from eval.report.results import (
     Result,
     ResultError,
     Row,
+    differences_block,
     find_results,
     format_cell,
     measure,
+    of_interest,
+    pairs_of,
     read_result,
+    said,
+    score_differences,
     write_result,
 )
+from eval.sets.sets import RowId, Variant
 from motionkit.core.errors import DamagedFileError
-from motionkit.core.files import write_json
 from tests.helpers.repository import REPOSITORY
+
+MEASURES = (measure("fid", column="FID"), measure("accuracy", column="Accuracy"), measure("diversity", column="D"))
 
 
 @pytest.fixture
@@ -49,21 +57,6 @@ def result() -> Result:
     )
 
 
-def compared() -> tuple[Block, Block]:
-    """Three systems in two columns, the paired test tells the third apart; in B real motion is best."""
-    numbers = {"one": (2.1, 1.0), "two": (2.0, 2.0), "three": (2.2, 3.0), "far": (9.0, 9.0)}
-    rows = tuple(
-        Row(name, "ours", {"A": Cell(first, 0.1), "B": Cell(second, 0.1)}) for name, (first, second) in numbers.items()
-    )
-    less = {"one − two": (0.1, 0.11), "two − three": (-0.2, 0.19), "one − three": (-0.1, 0.3)}
-    pairs = tuple(Row(name, "ours", {"A": Cell(*less[name]), "B": Cell(0.0, 1.0)}) for name in less)
-    metrics = (measure("fid", column="A"), measure("fid", column="B"))
-    metrics = (replace(metrics[0], better="lower"), replace(metrics[1], better="as real"))
-    reference = Row("real", "reference", {"A": Cell(0.0, 0.1), "B": Cell(0.0)})
-    block = Block("numbers", ("A", "B"), (reference, *rows), metrics=metrics)
-    return block, Block("differences", ("A", "B"), pairs, metrics=metrics, differences_of="numbers")
-
-
 def test_a_result_survives_its_file(result: Result, tmp_path: Path) -> None:
     path = write_result(result, tmp_path)
     assert read_result(path) == result
@@ -78,7 +71,8 @@ def test_files_that_are_no_results_are_refused(
     result: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_result(result, tmp_path)
-    document = json.loads(path.read_text())
+    whole = json.loads(path.read_text())
+    document = dict(whole)
     path.write_text("{")
     with pytest.raises(DamagedFileError, match=r"nerm-table2\.json"):
         read_result(path)
@@ -94,18 +88,19 @@ def test_files_that_are_no_results_are_refused(
         report(tmp_path)
     message = capsys.readouterr().err.replace("\n", "")
     assert "motionkit-result/9" in message and "skipped, not results: mine.json" in message
+    for key, name in (
+        ("task", "../mine"),
+        ("task", ""),
+        ("figure", "/tmp/mine"),
+        ("figure", ".hidden"),
+        ("task", "\x1b"),
+    ):
+        path.write_text(json.dumps(whole | {key: name}))
+        with pytest.raises(ResultError, match="where a file's name was expected"):
+            read_result(path)
     row = Row("nan", "ours", {"20 fps": Cell(float("nan"))})
     with pytest.raises(ValueError, match="JSON compliant"):
         write_result(replace(result, blocks=(Block("b", ("20 fps",), (row,)),)), tmp_path)
-
-
-@pytest.mark.parametrize("name", ["../mine", "/tmp/mine", "a/b", "..", "", ".hidden", "\x1b[31m"])
-def test_no_name_in_a_result_leads_out_of_its_folder(name: str, result: Result, tmp_path: Path) -> None:
-    path = write_result(result, tmp_path / "results")
-    for key in ("task", "figure") if name else ("task",):
-        write_json(path, json.loads(path.read_text()) | {"task": "t", key: name})
-        with pytest.raises(ResultError, match="where a file's name was expected"):
-            read_result(path)
 
 
 def places(document: object, at: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
@@ -190,8 +185,15 @@ def test_html_is_whole_and_escaped(result: Result) -> None:
     assert "http" not in text
 
 
-def test_html_marks_the_best_and_what_the_paired_test_does_not_tell_from_it(result: Result) -> None:
-    text = to_html([replace(result, blocks=compared())])
+def test_html_marks_the_best_and_those_not_told_apart_from_it(result: Result) -> None:
+    numbers = {"one": 2.1, "two": 2.0, "three": 2.2, "far": 9.0}
+    rows = tuple(Row(name, "ours", {"FID": Cell(value, 0.1), "D": Cell(value)}) for name, value in numbers.items())
+    less = {"one − two": (0.1, 0.11), "two − three": (-0.2, 0.19), "one − three": (-0.1, 0.3)}
+    pairs = tuple(Row(name, "ours", {"FID": Cell(*values), "D": Cell(0.0, 1.0)}) for name, values in less.items())
+    reference = Row("real", "reference", {"FID": Cell(0.0, 0.1), "D": Cell(0.0)})
+    block = Block("numbers", ("FID", "D"), (reference, *rows), metrics=MEASURES)
+    compared = Block("differences", ("FID", "D"), pairs, metrics=MEASURES, differences_of="numbers")
+    text = to_html([replace(result, blocks=(block, compared))])
     marked = [part.split("</td>")[0] for part in text.split('<td class="best">')[1:]]
     assert marked == ["<span>2.10</span> <span>± 0.10</span>", "<span>2.00</span> <span>± 0.10</span>"]
     assert "Bold: the best" in text and "Bold: the best" not in to_html([result])
@@ -216,3 +218,43 @@ def test_html_marks_the_best_and_what_the_paired_test_does_not_tell_from_it(resu
 )
 def test_numbers_have_three_digits(value: float, ci95: float | None, text: str) -> None:
     assert format_cell(Cell(value, ci95)) == text
+
+
+def block_of(**fids: float) -> Block:
+    """A block of FIDs, lower being better."""
+    rows = tuple(Row(name, "reference" if name == "r" else "ours", {"FID": Cell(fid)}) for name, fid in fids.items())
+    return Block("t", ("FID", "Accuracy"), rows, metrics=MEASURES)
+
+
+def test_better_is_what_the_metric_says() -> None:
+    lower, higher, same = Number(-2.0, 1.0), Number(2.0, 1.0), Number(0.5, 1.0)
+    assert said({"FID": lower, "Accuracy": lower}, MEASURES) == "better: FID; worse: Accuracy"
+    assert said({"FID": same, "Accuracy": higher, "D": higher}, MEASURES) == (
+        "better: Accuracy; higher: D; not told apart: FID"
+    )
+    assert said({"20 fps": lower, "60 fps": lower}, (measure("fid"),)) == "better: 20 fps, 60 fps"
+
+
+def test_rows_without_resamplings_have_no_difference() -> None:
+    a, b = map(RowId, "ab")
+    rows = {a: {"fid": over_replications((1.0,), (1.0, 1.2))}, b: {"fid": over_replications((3.0,), (3.0, 3.1))}}
+    found = score_differences(rows, {"fid": "FID", "accuracy": "Accuracy"})
+    block = differences_block(block_of(a=1.0, b=3.0), found)
+    assert block is not None
+    (row,) = block.rows
+    assert (row.name, row.cells["FID"].value, row.note) == ("a − b", -2.0, "better: FID")
+    assert block.differences_of == "t"
+    bare = {a: {"fid": over_replications((1.0,))}, b: {"fid": over_replications((3.0,))}}
+    assert differences_block(block_of(a=1.0, b=3.0), score_differences(bare, {"fid": "FID"})) is None
+
+
+def test_pairs_without_the_best_row_are_shown_of_the_same_motions_alone() -> None:
+    a, b, c, r = map(RowId, "abcr")
+    planted, other = RowId("b", Variant.PLANTED), RowId("b, 50 steps")
+    every = {pair: {"FID": Number(-1.0, 0.5)} for pair in pairs_of((a, b, planted, other, c), (r,))}
+    block = block_of(r=0.1, a=1.0, b=3.0, **{"b, planted": 2.0, "b, 50 steps": 5.0}, c=4.0)
+    references = [(row, r) for row in (a, b, planted, other, c)]
+    with_best = [(a, b), (a, planted), (a, other), (a, c), (b, planted)]
+    assert [*of_interest(block, every)] == [*with_best, *references]
+    named = [(a, c), (b, planted), (b, c), (planted, c), (other, c)]
+    assert [*of_interest(block, every, ["c"])] == [*named, *references]
