@@ -124,9 +124,7 @@ def measure(folder: Path) -> dict[str, dict[str, Any]]:
         return ["train", str(store), "--runs", str(runs), "--stage", stage, "--recipe", "nano", *options]
 
     def one_step(stage: str) -> list[str]:
-        return train(
-            stage, "--set", ("training" if stage == "evaluator" else f"{stage}.schedule") + ".steps=1", "--overwrite"
-        )
+        return train(stage, "--set", ("" if stage == "evaluator" else f"{stage}.") + "schedule.steps=1", "--overwrite")
 
     table = ["eval", "--store", str(store), "--table", "2", "--runs", str(runs), "--results", str(folder / "results")]
     manifest = trace_apart(["ingest", str(walk), "--store", str(folder / "one")])

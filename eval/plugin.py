@@ -8,7 +8,7 @@ COMMANDS = {
     "samples": "eval.commands.samples:samples",
     "study": "eval.commands.study:STUDY",
 }
-STAGES = {"evaluator": "eval.native_evaluator.stage:STAGE", "tmr": "eval.native_evaluator.stage:TMR"}
+STAGES = {"evaluator": "eval.native_evaluator.stage:EVALUATOR", "tmr": "eval.native_evaluator.stage:TMR"}
 ALL = ("evaluator",)
 TABLES = {
     "nerm-1": "eval.tables.nerm.table1:TABLE",

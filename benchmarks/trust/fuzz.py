@@ -28,7 +28,7 @@ import torch
 import motionkit as mk
 from benchmarks.trust.crash import Case, Drill, Report, content_of, copy
 from benchmarks.trust.mutate import flip, mutate
-from eval.native_evaluator.evaluator import load_native
+from eval.native_evaluator.evaluator import load_evaluator
 from eval.report.render import to_markdown
 from eval.report.results import ResultError, environment, find_results
 from eval.sample_folder import SampleOptions, read_sample_folder
@@ -239,7 +239,7 @@ def use_stage(stage: str) -> Callable[[Path], object]:
         record = (found.read_config(), found.read_metrics(), found.read_summary())
         if stage == "evaluator":
             clips = np.random.default_rng(2).normal(size=(4, 16, 22, 3))
-            return record, load_native(folder / RUN).embed_motions(clips, Fraction(20)).tolist()
+            return record, load_evaluator(folder / RUN).embed_clips(clips, Fraction(20)).tolist()
         if stage == "pahires":
             motion = mk.complete(folder / "long/take-0.bvh", fps=90, model="pahires", run=folder / RUN)
         else:

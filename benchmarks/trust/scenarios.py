@@ -27,9 +27,9 @@ SETTINGS = {
         "denoiser.conditions.text_encoder=none"
     ),
     "evaluator": (
-        "training.steps=8 training.batch_size=4 training.max_poses=24 training.statistics_batches=1 "
-        "training.bank_seconds=10 training.text_encoder= network.shared=4 "
-        "training.framerates=20,60 network.convolution=8 network.recurrent=8 network.embedding=8"
+        "schedule.steps=8 schedule.batch_size=4 training.max_poses=24 training.statistics_batches=1 "
+        "training.bank_seconds=10 training.framerates=20,60 "
+        "network.convolution=8 network.recurrent=8 network.shared=4 network.text_hidden=8"
     ),
     "pahires": (
         "training.schedule.steps=8 training.schedule.batch_size=4 training.tasks.gap=0 network.hidden=8 network.code=8 "

@@ -21,14 +21,13 @@ from torch import Tensor, nn
 
 from eval.actions.recognisers import ActionRecogniser, FeaturesAndScores, find_recogniser
 from eval.sets.sets import SampleSet
-from eval.text_motion.guo.networks import weights_digest
 from motionkit.core import kinematics
 from motionkit.core.errors import MotionkitError
 from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.io import joints_npy, uestc
 from motionkit.io.smpl_body import SMPL
-from motionkit.training.loop import CheckpointError, fill_checked, foreign_tensors, read_foreign
+from motionkit.training.loop import CheckpointError, fill_checked, foreign_tensors, read_foreign, weights_digest
 
 CLIP_FRAMES = 60
 MOTIONS_AT_ONCE = 64

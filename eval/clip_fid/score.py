@@ -40,13 +40,15 @@ from eval.metrics.number import (
     units_of,
 )
 from eval.sets.sets import Missing, Ragged, SampleSet, sample_set
-from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import Framerate, parse_fps
+
+if typing.TYPE_CHECKING:
+    from eval.text_motion.guo import GuoFiles
 
 VERSION = "clip-fid/3"
 REAL, OTHER = 0, 1
@@ -407,7 +409,7 @@ KINEMATIC = FeatureSource(
 )
 
 
-def feature_sources(names: Sequence[str] | None, guo: GuoFiles | None, missing: Missing) -> list[FeatureSource]:
+def feature_sources(names: Sequence[str] | None, guo: "GuoFiles | None", missing: Missing) -> list[FeatureSource]:
     """All available feature sets, or those of these names; `missing` gets the reason why there is no other.
 
     Raises `UsageError` for an unknown name and for `guo` without files, and what is wrong with the files if `guo` is
@@ -424,9 +426,9 @@ def feature_sources(names: Sequence[str] | None, guo: GuoFiles | None, missing: 
     return sources
 
 
-def guo_source(files: GuoFiles) -> FeatureSource:
+def guo_source(files: "GuoFiles") -> FeatureSource:
     """A published evaluator at its own framerate. Raises `MotionkitError` if its files are invalid."""
-    from eval.text_motion.guo.evaluator import load_guo
+    from eval.text_motion.guo import load_guo
 
     evaluator = load_guo(files)
 

@@ -98,7 +98,6 @@ def evaluate(
     from eval.clip_fid.score import Protocol
     from eval.sample_folder import SampleFolderError, SampleOptions
     from eval.tables.table import EvalConfig
-    from eval.text_motion.guo.kind import GuoFiles
 
     tables = _chosen(table, figure, calibrate, paper)
     if calibrate and samples:
@@ -106,6 +105,11 @@ def evaluate(
     if weights is None and (glove or statistics):
         option = "--glove" if glove else "--statistics"
         raise UsageError(f"{option} needs a published evaluator: give its weights with --weights finest.tar")
+    guo = None
+    if weights is not None:
+        from eval.text_motion.guo import GuoFiles
+
+        guo = GuoFiles(weights, glove, statistics)
     folder = runs or default_path("runs")
     config = EvalConfig(
         store=store or default_path("store"),
@@ -119,7 +123,7 @@ def evaluate(
         max_motions=motions,
         draws=draws,
         evaluators=tuple(evaluator.split(",")) if evaluator else None,
-        guo=None if weights is None else GuoFiles(weights, glove, statistics),
+        guo=guo,
         motion_clip=motion_clip,
         clips=Protocol(*_sizes(sizes), num_clips=clips, replications=replications, seed=seed),
         protocol=protocol,

@@ -1,11 +1,11 @@
-"""Trained networks that embed motions of any framerate and sentences in one space: the stages `evaluator` and `tmr`.
+"""The native text–motion evaluator: motions of any framerate and sentences in one space.
 
 One file holds weights, input statistics, and the fingerprint of the training store; the evaluator's own fingerprint is
-part of every result that uses it.
+part of every result that uses it. The stage `tmr` trains the same network with embeddings of length 1.
 """
 
-import hashlib
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -14,113 +14,126 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from eval.native_evaluator.network import (
-    MIN_POSES,
-    NUM_JOINTS,
-    NativeNetwork,
-    TextProjection,
-    prepare,
-    rich_input,
-    standardised,
-)
-from eval.native_evaluator.settings import NativeNetworkConfig
+from eval.native_evaluator.stage import NetworkConfig
 from eval.sets.sets import SampleSet
 from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Caption
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.training.config import from_plain
-from motionkit.training.loop import CheckpointError, load_tensors, rebuilding, unprefixed
-from motionkit.training.run import RunFolder
-from motionkit.training.text import TextEncoder, load_text_encoder
+from motionkit.training.loop import CheckpointError, load_tensors, rebuilding, weights_digest
+from motionkit.training.run import RunError, RunFolder
+from motionkit.training.text import TextEncoder, load_same_encoder
 
-VERSIONS = {"evaluator": "native/2", "tmr": "tmr/1"}
+VERSIONS = {"evaluator": "native/3", "tmr": "tmr/2"}
 """Of the file that each stage writes."""
+NUM_CHANNELS = 63 + 1 + 66 + 1
+MIN_POSES = 8
+REFERENCE_FPS = 60.0
+MOST_DEVIATIONS = 5.0
 CLIPS_AT_ONCE = 256
+
+assert SMPL22.feet is not None
+FEET = (SMPL22.feet.left_ankle, SMPL22.feet.left_toe, SMPL22.feet.right_ankle, SMPL22.feet.right_toe)
+LEFT_HIP, RIGHT_HIP, LEFT_SHOULDER, RIGHT_SHOULDER = 1, 2, 16, 17
+
+
+def motion_input(clips: Float[np.ndarray, "clips poses 22 3"], fps: float) -> Float32[Tensor, "clips poses channels"]:
+    """131 numbers per pose, invariant to translation and to rotation about the vertical axis.
+
+    Positions beside the root in the body's heading (63), the root's height above the lowest foot (1), velocities in m/s
+    in that heading, forward differences (66), and the logarithm of the framerate (1).
+    """
+    positions = torch.from_numpy(clips.astype(np.float64))
+    hips = positions[:, :, LEFT_HIP] - positions[:, :, RIGHT_HIP]
+    across = (hips + positions[:, :, LEFT_SHOULDER] - positions[:, :, RIGHT_SHOULDER])[..., ::2]
+    length = across.norm(dim=-1, keepdim=True)
+    # A body without width faces +Z.
+    sideways = torch.where(length > 1e-6, across / length.clamp_min(1e-6), torch.tensor([1.0, 0.0]).double())
+    velocities = (positions[:, 1:] - positions[:, :-1]) * fps
+    velocities = torch.cat((velocities, velocities[:, -1:]), dim=1)
+    ground = positions[:, :, FEET, 1].amin(dim=(1, 2))
+    blocks = (
+        _in_heading(positions[:, :, 1:] - positions[:, :, :1], sideways).flatten(2),
+        (positions[:, :, 0, 1] - ground[:, None])[..., None],
+        _in_heading(velocities, sideways).flatten(2),
+        torch.full_like(length, math.log(fps / REFERENCE_FPS)),
+    )
+    return torch.cat(blocks, dim=-1).float()
+
+
+def _in_heading(
+    vectors: Float[Tensor, "clips poses joints 3"], sideways: Float[Tensor, "clips poses 2"]
+) -> Float[Tensor, "clips poses joints 3"]:
+    """Vectors with +x to the body's left and +z ahead."""
+    left_x, left_z = sideways[..., None, 0], sideways[..., None, 1]
+    x, y, z = vectors.unbind(-1)
+    return torch.stack((x * left_x + z * left_z, y, z * left_x - x * left_z), dim=-1)
+
+
+class EvaluatorNetwork(nn.Module):
+    """Motions and sentences → one space; `mean` and `scale` are statistics of the motions' inputs.
+
+    After Guo et al.'s movement and motion encoders, smaller (text-to-motion, networks/modules.py): two convolutions of
+    kernel 4 and stride 2, a bidirectional GRU, a linear layer. Sentences come as embeddings of a frozen text encoder.
+    """
+
+    mean: Tensor
+    scale: Tensor
+
+    def __init__(self, config: NetworkConfig, text_dimension: int) -> None:
+        super().__init__()
+        self.unit_length = config.unit_length
+        self.register_buffer("mean", torch.zeros(NUM_CHANNELS))
+        self.register_buffer("scale", torch.ones(NUM_CHANNELS))
+        self.convolutions = nn.Sequential(
+            *(nn.Conv1d(NUM_CHANNELS, config.convolution, 4, 2, 1), nn.LeakyReLU(0.2)),
+            *(nn.Conv1d(config.convolution, config.convolution, 4, 2, 1), nn.LeakyReLU(0.2)),
+        )
+        self.recurrent = nn.GRU(config.convolution, config.recurrent, batch_first=True, bidirectional=True)
+        self.motion = nn.Linear(2 * config.recurrent + config.convolution, config.shared)
+        self.text = nn.Sequential(
+            nn.Linear(text_dimension, config.text_hidden),
+            nn.LeakyReLU(0.2),
+            nn.Linear(config.text_hidden, config.shared),
+        )
+
+    def standardised(self, inputs: Float[Tensor, "clips poses channels"]) -> Float[Tensor, "clips poses channels"]:
+        """Standardised inputs, clipped to 5 deviations: a few frames of a capture are glitches of hundreds."""
+        return ((inputs - self.mean) * self.scale).clamp(-MOST_DEVIATIONS, MOST_DEVIATIONS)
+
+    def embed_motions(self, inputs: Float[Tensor, "clips poses channels"]) -> Float[Tensor, "clips shared"]:
+        """One vector per clip of standardised inputs; all have the same number of poses, at least 8."""
+        movements = self.convolutions(inputs.transpose(1, 2)).transpose(1, 2)
+        _, last = self.recurrent(movements)
+        # The mean over time besides the last states: a GRU forgets a long clip's beginning.
+        return self._scaled(self.motion(torch.cat((last[0], last[1], movements.mean(dim=1)), dim=-1)))
+
+    def embed_texts(self, sentences: Float[Tensor, "texts text"]) -> Float[Tensor, "texts shared"]:
+        """One vector per sentence."""
+        return self._scaled(self.text(sentences))
+
+    def _scaled(self, rows: Float[Tensor, "rows shared"]) -> Float[Tensor, "rows shared"]:
+        return nn.functional.normalize(rows, dim=1) if self.unit_length else rows
 
 
 @dataclass(frozen=True, eq=False)
 class NativeEvaluator:
-    """A trained evaluator: networks, and statistics of inputs (`mean`, `scale`).
+    """A trained evaluator as a `TextMotionEvaluator`; `stage` is the one that trained it.
 
-    `description` is the header of its file (settings, store fingerprint, framerates …).
-    """
-
-    network: NativeNetwork
-    text: TextProjection
-    mean: Float32[Tensor, "channels"]
-    scale: Float32[Tensor, "channels"]
-    description: dict[str, Any]
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """First 16 hex digits of the sha256 over version, settings, weights and statistics."""
-        digest = hashlib.sha256(json.dumps(self.description, sort_keys=True).encode())
-        tensors = {"mean": self.mean, "scale": self.scale} | self.network.state_dict() | self.text.state_dict()
-        for name in sorted(tensors):
-            digest.update(name.encode() + np.ascontiguousarray(tensors[name].numpy(), dtype="<f4").tobytes())
-        return digest.hexdigest()[:16]
-
-    def embed_motions(
-        self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction
-    ) -> Float64[np.ndarray, "clips shared"]:
-        """One vector per clip in the space shared with sentences, in order: positions of the 22 joints in metres, y up.
-
-        Raises `ValueError` for another number of joints or fewer than 8 poses.
-        """
-        if clips.shape[2] != NUM_JOINTS:
-            raise ValueError(f"clips have {clips.shape[2]} joints; the evaluator knows the {NUM_JOINTS} of SMPL22")
-        if clips.shape[1] < MIN_POSES:
-            raise ValueError(f"clips have {clips.shape[1]} poses; the evaluator needs at least {MIN_POSES}")
-        rows = []
-        with torch.inference_mode():
-            # At least one batch, so that the result for no clips has the right width.
-            for start in range(0, max(len(clips), 1), CLIPS_AT_ONCE):
-                some = torch.from_numpy(prepare(clips[start : start + CLIPS_AT_ONCE], float(fps)))
-                inputs = standardised(rich_input(some, float(fps)), self.mean, self.scale)
-                rows.append(self.network.shared(self.network(inputs)).double().numpy())
-        return np.concatenate(rows)
-
-    def embed_texts(self, texts: Sequence[str]) -> Float64[np.ndarray, "texts shared"]:
-        """One vector per sentence in the space shared with motions.
-
-        Raises `MotionkitError` if the evaluator was trained without captions, or its text encoder is not available.
-        """
-        if self._text_encoder is None:
-            raise MotionkitError("this evaluator was trained on a store without captions: it knows no sentences")
-        embeddings = torch.from_numpy(self._text_encoder.encode(list(texts)))
-        with torch.inference_mode():
-            projected: Float64[np.ndarray, "texts shared"] = self.text(embeddings).double().numpy()
-        return projected
-
-    @cached_property
-    def _text_encoder(self) -> TextEncoder | None:
-        name = self.description["text_encoder"]
-        if not name:
-            return None
-        encoder = load_text_encoder(name)
-        if encoder.fingerprint != self.description["text_encoder_fingerprint"]:
-            raise MotionkitError(
-                f"the text encoder {name!r} is not the one that this evaluator was trained with "
-                f"(fingerprint {encoder.fingerprint[:16]}, not {self.description['text_encoder_fingerprint'][:16]})"
-            )
-        return encoder
-
-
-@dataclass(frozen=True, eq=False)
-class NativeTextMotion:
-    """An evaluator on whole motions, as a `TextMotionEvaluator`; `stage` is the one that trained it.
-
-    Trained on clips of seconds, its GRU and its mean over time extend to longer motions. Embeddings of the stage `tmr`
+    `description` is the header of its file (settings, store fingerprint, framerates …). Embeddings of the stage `tmr`
     have length 1, so Euclidean distances and cosines rank alike.
     """
 
-    evaluator: NativeEvaluator
+    network: EvaluatorNetwork
+    description: dict[str, Any]
+    fingerprint: str
     stage: str = "evaluator"
+    fps: Fraction | None = None
+    layout: str = SMPL22.name
 
     @property
     def name(self) -> str:
@@ -132,24 +145,9 @@ class NativeTextMotion:
         """The score of pairs of unit vectors that TMR and Kimodo report; empty for the native evaluator."""
         return "tmr_score" if self.stage == "tmr" else ""
 
-    @property
-    def fingerprint(self) -> str:
-        """The evaluator's fingerprint, marked as that of whole motions."""
-        return f"{self.evaluator.fingerprint}-whole"
-
-    @property
-    def fps(self) -> Fraction | None:
-        """None: any framerate is accepted."""
-        return None
-
-    @property
-    def layout(self) -> str:
-        """The 22 joints that it was trained with."""
-        return SMPL22.name
-
     def remark_at(self, fps: Fraction) -> str:
         """A remark if it was not trained near this framerate, else empty."""
-        trained = [Fraction(each) for each in self.evaluator.description["framerates"]]
+        trained = [Fraction(each) for each in self.description["framerates"]]
         if min(trained) <= fps <= max(trained):
             return ""
         return (
@@ -158,7 +156,18 @@ class NativeTextMotion:
             "training.framerates=…)."
         )
 
-    def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
+    def embed_clips(
+        self, clips: Float[np.ndarray, "clips poses 22 3"], fps: Fraction
+    ) -> Float64[np.ndarray, "clips shared"]:
+        """One vector per clip, in order: positions of the 22 joints in metres, y up, of at least 8 poses."""
+        rows = []
+        with torch.inference_mode():
+            for start in range(0, len(clips), CLIPS_AT_ONCE):
+                inputs = motion_input(clips[start : start + CLIPS_AT_ONCE], float(fps))
+                rows.append(self.network.embed_motions(self.network.standardised(inputs)).double().numpy())
+        return np.concatenate(rows)
+
+    def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences shared"]:
         """One row per sequence, in the order of the set; sequences of one length form a batch.
 
         Raises `MotionkitError` if one has fewer than 8 poses.
@@ -169,39 +178,35 @@ class NativeTextMotion:
                 f"{samples.name}: {samples.sequence_ids[int(lengths.argmin())]!r} has {lengths.min()} poses at "
                 f"{samples.fps} fps, the {self.name} evaluator needs at least {MIN_POSES}; leave such motions out"
             )
-        rows: dict[int, npt.NDArray[np.float64]] = {}
+        rows: dict[int, Float64[np.ndarray, shared]] = {}
         for length in np.unique(lengths).tolist():
             members = np.flatnonzero(lengths == length).tolist()
             clips = np.stack([samples.sequences[index] for index in members])
-            rows.update(zip(members, self.evaluator.embed_motions(clips, samples.fps), strict=True))
-        return self._scaled(np.stack([rows[index] for index in range(samples.num_sequences)]))
+            rows.update(zip(members, self.embed_clips(clips, samples.fps), strict=True))
+        return np.stack([rows[index] for index in range(samples.num_sequences)])
 
-    def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
-        """One row per caption, in order. Raises `MotionkitError` if it was trained without captions."""
-        return self._scaled(self.evaluator.embed_texts([caption.text for caption in captions]))
+    def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts shared"]:
+        """One row per caption, in order. Raises `MotionkitError` if its text encoder is not available."""
+        sentences = torch.from_numpy(self._encoder.encode([caption.text for caption in captions]))
+        with torch.inference_mode():
+            embedded: Float64[np.ndarray, "texts shared"] = self.network.embed_texts(sentences).double().numpy()
+        return embedded
 
-    def _scaled(self, rows: Float64[np.ndarray, "rows features"]) -> Float64[np.ndarray, "rows features"]:
-        if self.stage != "tmr":
-            return rows
-        return np.asarray(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12))
+    @cached_property
+    def _encoder(self) -> TextEncoder:
+        name, fingerprint = self.description["text_encoder"], self.description["text_encoder_fingerprint"]
+        return load_same_encoder(name, fingerprint, f"the {self.name} evaluator")
 
 
-def load_native(run: Path) -> NativeEvaluator:
-    """Load the native evaluator from a run folder (`motionkit train --stage evaluator`).
+def load_evaluator(run: Path, stage: str = "evaluator") -> NativeEvaluator:
+    """Load the evaluator that `motionkit train --stage evaluator`, or `tmr`, has trained in a run folder.
 
-    Raises `RunError` if its training is not finished and `CheckpointError` if the file is of another version.
+    Raises `RunError` if its training is not finished or had no captions, and `CheckpointError` if the file is of
+    another version.
     """
-    return _load(run, "evaluator")
-
-
-def load_tmr(run: Path) -> NativeTextMotion:
-    """Load the evaluator of retrieval from a run folder (`motionkit train --stage tmr`); raises as `load_native`."""
-    return NativeTextMotion(_load(run, "tmr"), "tmr")
-
-
-def _load(run: Path, stage: str) -> NativeEvaluator:
     folder, version = RunFolder(run).stage(stage), VERSIONS[stage]
-    folder.read_summary()
+    if not folder.read_summary()["sentences"]:
+        raise RunError(f"{folder.path} was trained on a store without captions: it knows no sentences")
     tensors, description = load_tensors(folder.model_path)
     if description.get("version") != version:
         raise CheckpointError(
@@ -209,29 +214,8 @@ def _load(run: Path, stage: str) -> NativeEvaluator:
             f"train it again (motionkit train --stage {stage} --run {run.name} --overwrite)"
         )
     with rebuilding(folder.model_path, stage, tensors):
-        config = from_plain(NativeNetworkConfig, description["config"]["network"])
-        network = NativeNetwork(config)
-        text = TextProjection(int(description["text_dimension"]), config)
-        network.load_state_dict(unprefixed("network", tensors))
-        text.load_state_dict(unprefixed("text", tensors))
-        mean, scale = tensors["statistics.mean"], tensors["statistics.scale"]
-        return NativeEvaluator(network.eval(), text.eval(), mean, scale, description)
-
-
-def describe_training(
-    stage: str,
-    config: dict[str, Any],
-    store_fingerprint: str,
-    framerates: Sequence[Fraction],
-    encoder: TextEncoder | None,
-) -> dict[str, Any]:
-    """The header of an evaluator's file."""
-    return {
-        "version": VERSIONS[stage],
-        "config": config,
-        "store_fingerprint": store_fingerprint,
-        "framerates": [str(fps) for fps in framerates],
-        "text_encoder": "" if encoder is None else encoder.name,
-        "text_encoder_fingerprint": "" if encoder is None else encoder.fingerprint,
-        "text_dimension": 1 if encoder is None else encoder.dimension,
-    }
+        config = from_plain(NetworkConfig, description["config"]["network"])
+        network = EvaluatorNetwork(config, int(description["text_dimension"]))
+        network.load_state_dict(tensors)
+    fingerprint = weights_digest(json.dumps(description, sort_keys=True), tensors)
+    return NativeEvaluator(network.eval().requires_grad_(False), description, fingerprint, stage)

@@ -1,112 +1,108 @@
-"""The stages `evaluator` and `tmr` of `motionkit train`: evaluators of text and motion from a training split."""
+"""The stages `evaluator` and `tmr` of `motionkit train`: their settings and recipes; imports nothing heavy."""
 
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING
 
-from eval.native_evaluator import settings
-from eval.native_evaluator.settings import NativeConfig, TmrConfig
-from motionkit.training.run import Stage, StageContext
-
-if TYPE_CHECKING:
-    from eval.native_evaluator.bank import Takes
-    from motionkit.store.cache import PositionCache
-    from motionkit.store.reader import Store
-
-LAYOUT = "smpl22"
+from motionkit.core.plugins import lazily
+from motionkit.training.config import Schedule
+from motionkit.training.run import Stage
 
 
-def train_evaluator(context: StageContext, config: NativeConfig) -> None:
-    """Train the native-rate evaluator; writes RUN/evaluator/model.safetensors, which `load_native` reads."""
-    _train(context, config, "evaluator", config.training.min_poses)
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Widths of the convolutions, each direction of the GRU, the space shared with text, and the text's hidden layer.
 
-
-def train_tmr(context: StageContext, config: TmrConfig) -> None:
-    """Train the evaluator of retrieval; writes RUN/tmr/model.safetensors, which `load_tmr` reads.
-
-    Raises `UsageError` for a store without captions.
+    With `unit_length` embeddings have length 1, so that their distances rank as cosines do (TMR).
     """
-    from eval.native_evaluator.network import MIN_POSES
 
-    _train(context, config, "tmr", MIN_POSES)
-
-
-def _train(context: StageContext, config: NativeConfig | TmrConfig, stage: str, min_poses: int) -> None:
-    import numpy as np
-
-    from eval.native_evaluator.bank import build_banks
-    from eval.native_evaluator.evaluator import describe_training
-    from eval.native_evaluator.training import EvaluatorTraining, collect_sentences
-    from motionkit.core.errors import UsageError
-    from motionkit.core.timegrid import parse_fps
-    from motionkit.store.cache import cache_root, open_cache
-    from motionkit.training.config import to_plain
-    from motionkit.training.devices import resolve_device
-    from motionkit.training.loop import save_tensors, train_loop
-    from motionkit.training.text import embed_texts, load_text_encoder
-
-    store, training = context.open_store(), config.training
-    takes = takes_of_cache(store, open_cache(store, layout=LAYOUT, where=training.where or None))
-    has_text = bool(training.text_encoder) and any(takes.captions)
-    if stage == "tmr" and not any(caption.text.strip() for some in takes.captions for caption in some):
-        raise UsageError("the stage tmr learns from captions, and the store's training split has none")
-    folder = context.begin(stage, config, store_fingerprint=store.fingerprint)
-    framerates = [parse_fps(fps) for fps in training.framerates]
-    banks = build_banks(takes, framerates, training.bank_seconds, min_poses, context.seed)
-    encoder = load_text_encoder(training.text_encoder) if has_text else None
-    if encoder is None:
-        sentences = collect_sentences((), lambda texts: np.zeros((len(texts), 0), dtype=np.float32))
-    else:
-        cache = cache_root(store.path, store.fingerprint)
-        sentences = collect_sentences(takes.captions, partial(embed_texts, encoder, folder=cache))
-    trainable = EvaluatorTraining(stage, config, banks, sentences, context.seed, resolve_device(context.device))
-    latest = train_loop(trainable, folder, seed=context.seed, on_progress=context.on_progress)
-    reached = [bank.fps for bank in banks]
-    header = describe_training(stage, to_plain(config), store.fingerprint, reached, encoder)
-    save_tensors(folder.model_path, trainable.model_tensors(), header)
-    counts = {"sequences": len(takes.fps), "sentences": len(sentences.embeddings)}
-    folder.finish({**latest, **counts, "fps": [str(fps) for fps in reached]})
+    convolution: int = 128
+    recurrent: int = 128
+    shared: int = 128
+    text_hidden: int = 256
+    unit_length: bool = False
 
 
-def takes_of_cache(store: "Store", cache: "PositionCache") -> "Takes":
-    """The sequences of a position cache with their framerates and captions."""
-    from fractions import Fraction
+@dataclass(frozen=True)
+class TrainingConfig:
+    """Which clips and sentences a step draws, and which of the pairs are negatives.
 
-    import numpy as np
+    A step draws one framerate of `framerates` (those that the store reaches) and one duration between `min_seconds`
+    and `max_seconds`, at most `max_poses` poses. Logits are negative squared distances, divided by twice the
+    `temperature`. Pairs whose sentences have a score above `same_above` (½ + ½ · cosine of `text_encoder`'s embeddings)
+    are not negatives of each other. `noise` is the standard deviation of the noise added to the standardised inputs,
+    whose statistics are those of `statistics_batches` batches. `bank_seconds` bounds the motion held in memory per
+    framerate, `where` selects the store's sequences.
+    """
 
-    from eval.native_evaluator.bank import Takes
-    from eval.sets.sets import Ragged
-    from motionkit.core.motion import Caption
+    framerates: tuple[float, ...] = (20.0, 30.0, 60.0, 120.0)
+    min_seconds: float = 1.0
+    max_seconds: float = 6.0
+    max_poses: int = 160
+    temperature: float = 6.4
+    same_above: float = 0.999
+    noise: float = 0.0
+    text_encoder: str = "minilm"
+    weight_decay: float = 1e-4
+    gradient_clip: float = 1.0
+    statistics_batches: int = 8
+    bank_seconds: float = 3600.0
+    where: str = "split NOT IN ('val', 'test')"
 
-    captions = store.sequences_table["captions"].take(store.rows_of(cache.sequence_index)).to_pylist()
-    rates = zip(cache.fps_numerator.tolist(), cache.fps_denominator.tolist(), strict=True)
-    return Takes(
-        sequences=Ragged(cache.positions, cache.start_row, cache.num_frames.astype(np.int64)),
-        fps=tuple(Fraction(*rate) for rate in rates),
-        captions=tuple(tuple(Caption(**caption) for caption in some) for some in captions),
-    )
+    def __post_init__(self) -> None:
+        if not 0 < self.min_seconds <= self.max_seconds or self.max_poses < 8:
+            raise ValueError("0 < min_seconds <= max_seconds, and max_poses of at least 8")
+        if self.temperature <= 0 or self.same_above <= 0:
+            raise ValueError("temperature and same_above must be positive")
 
 
-STAGE = Stage(
-    name="evaluator",
-    description="the native-rate evaluator: corruption strengths and captions of clips at every framerate",
-    recipes={
-        "nano": settings.nano,
-        "small": settings.nano,
-        "demo": settings.demo,
-        "base": settings.base,
-        "paper": settings.paper,
-    },
-    train=train_evaluator,
-    share=0.2,
-)
-TMR = Stage(
-    name="tmr",
-    description="a small evaluator of text-motion retrieval, after TMR",
-    recipes={
-        "nano": settings.tmr_nano,
-        "small": settings.tmr_nano,
-        "demo": settings.tmr_demo,
-        "base": settings.tmr_base,
-    },
-    train=train_tmr,
-)
+@dataclass(frozen=True)
+class EvaluatorConfig:
+    """All settings of an evaluator besides store and seed."""
+
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    training: TrainingConfig = field(default_factory=TrainingConfig)
+    schedule: Schedule = field(default_factory=lambda: Schedule(steps=1500))
+
+
+WIDE = NetworkConfig(convolution=256, recurrent=512, shared=256, text_hidden=512)
+# The widths of Guo et al. (text-to-motion, networks/modules.py).
+GUO = NetworkConfig(convolution=512, recurrent=1024, shared=512, text_hidden=1024)
+# Of a recipe: network, steps, batch size, learning rate, seconds of motion per framerate. nano takes two cores some two
+# minutes, base and paper are for a GPU.
+SIZES = {
+    "nano": (NetworkConfig(), 1500, 64, 2e-3, 3600.0),
+    "small": (NetworkConfig(), 1500, 64, 2e-3, 3600.0),
+    "demo": (NetworkConfig(), 250, 64, 2e-3, 3600.0),
+    "base": (WIDE, 50_000, 512, 5e-4, 36_000.0),
+    "paper": (GUO, 200_000, 512, 1e-4, 144_000.0),
+}
+
+
+def native(recipe: str) -> EvaluatorConfig:
+    """The native evaluator: Euclidean distances, only pairs with the same sentence are no negatives."""
+    network, steps, batch_size, rate, bank_seconds = SIZES[recipe]
+    schedule = Schedule(steps, None, batch_size, rate, kind="cosine", warmup_fraction=0.02)
+    return EvaluatorConfig(network, TrainingConfig(bank_seconds=bank_seconds), schedule)
+
+
+def tmr(recipe: str) -> EvaluatorConfig:
+    """The same network with TMR's loss: cosines of unit vectors, nearly equal sentences are no negatives.
+
+    Petrovich et al. 2023; src/model/losses.py of Mathux/TMR @ 6d74688. TMR's decoder, reconstruction loss and Gaussian
+    latents are left out: they serve generation.
+    """
+    config = native(recipe)
+    training = replace(config.training, temperature=0.1, same_above=0.8, noise=0.1, weight_decay=1e-2)
+    return replace(config, network=replace(config.network, unit_length=True), training=training)
+
+
+def _stage(
+    name: str, description: str, recipe: Callable[[str], EvaluatorConfig], share: float
+) -> Stage[EvaluatorConfig]:
+    train = partial(lazily("eval.native_evaluator.training:train_evaluator"), name)
+    return Stage(name, description, {each: partial(recipe, each) for each in SIZES}, train, share=share)
+
+
+EVALUATOR = _stage("evaluator", "the native evaluator of text and motion, at every framerate", native, 0.2)
+TMR = _stage("tmr", "a small evaluator of text-motion retrieval, after TMR", tmr, 1.0)

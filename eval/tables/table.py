@@ -13,20 +13,22 @@ from fractions import Fraction
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eval.clip_fid.score import Protocol
 from eval.report.results import Block, Cell, Result, Row, provenance
 from eval.sample_folder import SampleFolder, SampleOptions, read_sample_folder
 from eval.sets.motions import of_split_and
 from eval.sets.sets import Missing
-from eval.text_motion.guo.kind import GuoFiles
 from motionkit.core import plugins
 from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.core.files import read_json, write_json
 from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.store.reader import Store
 from motionkit.training.run import Loader
+
+if TYPE_CHECKING:
+    from eval.text_motion.guo import GuoFiles
 
 SOURCES = {
     "nerm": "Wei et al., NeRM: Learning Neural Representations for High-Framerate Human Motion Synthesis, ICLR 2024",
@@ -59,7 +61,7 @@ class EvalConfig:
     max_motions: int = 1024
     draws: int = 1
     evaluators: tuple[str, ...] | None = None
-    guo: GuoFiles | None = None
+    guo: "GuoFiles | None" = None
     motion_clip: Path | None = None
     clips: Protocol = field(default_factory=Protocol)
     protocol: str = "native"

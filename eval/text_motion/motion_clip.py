@@ -6,107 +6,77 @@ utils/evaluators.py; the name is its class's, and it is not the MotionCLIP of Te
 """
 
 import json
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from eval.text_motion.guo.evaluator import GuoEvaluator
-from eval.text_motion.guo.kind import KINDS, GuoError, GuoKind, read_statistics
-from eval.text_motion.guo.networks import FRAMES_PER_TOKEN
+from eval.text_motion.guo import GuoError, GuoEvaluator, fingerprint_of, kind_of, read_statistics, with_weights
 from motionkit.core.errors import MissingExtraError
 from motionkit.core.motion import Caption
-from motionkit.core.shapes import Float, Float64, Int64
-from motionkit.training.loop import CheckpointError, fill_checked, foreign_tensors, read_foreign
+from motionkit.core.shapes import Float, Int64
+from motionkit.training.loop import CheckpointError, foreign_tensors, read_foreign
 
-WHAT = "MARDM's MotionCLIP"
-KEY = "contrast_model"
-WEIGHTS = "finest.tar"
-FIRST = "motion_encoder.embed_motion.weight"
+WHAT, KEY = "MARDM's MotionCLIP", "contrast_model"
+NUM_HEADS = 8
 START, END = "<|startoftext|>", "<|endoftext|>"
-TEXTS_AT_ONCE = 64
 
 
-@dataclass(frozen=True)
-class MotionClipSizes:
-    """Sizes of the networks; the defaults are the published ones. `positions`: rows of the stored table."""
-
-    width: int = 512
-    feedforward: int = 1024
-    layers: int = 8
-    heads: int = 8
-    vocabulary: int = 49408
-    context: int = 77
-    positions: int = 2000
+def _transformer(width: int, feedforward: int, layers: int) -> nn.TransformerEncoder:
+    layer = nn.TransformerEncoderLayer(width, NUM_HEADS, feedforward, activation="gelu", batch_first=True)
+    return nn.TransformerEncoder(layer, layers, enable_nested_tensor=False)
 
 
-PUBLISHED = MotionClipSizes()
+class MotionEncoder(nn.Module):
+    """The output of a class token that is prepended to motions of one length."""
 
-
-def _transformer(sizes: MotionClipSizes) -> nn.TransformerEncoder:
-    layer = nn.TransformerEncoderLayer(sizes.width, sizes.heads, sizes.feedforward, activation="gelu", batch_first=True)
-    return nn.TransformerEncoder(layer, sizes.layers, enable_nested_tensor=False)
-
-
-class _Positions(nn.Module):
-    """Sinusoidal positional encoding, as the checkpoint stores it."""
-
-    pe: Tensor
-
-    def __init__(self, sizes: MotionClipSizes) -> None:
+    def __init__(self, num_inputs: int, num_positions: int, sizes: tuple[int, int, int]) -> None:
         super().__init__()
-        rate = torch.exp(torch.arange(0, sizes.width, 2) * (-math.log(10000.0) / sizes.width))
-        angle = torch.arange(sizes.positions)[:, None] * rate
-        self.register_buffer("pe", torch.stack((angle.sin(), angle.cos()), dim=-1).flatten(1))
-
-
-class _MotionEncoder(nn.Module):
-    def __init__(self, num_inputs: int, sizes: MotionClipSizes) -> None:
-        super().__init__()
-        self.query_token = nn.Parameter(torch.zeros(1, sizes.width))
-        self.embed_motion = nn.Linear(num_inputs, sizes.width)
-        self.sequence_pos_encoder = _Positions(sizes)
-        self.transformer = _transformer(sizes)
-        self.out_ln = nn.LayerNorm(sizes.width)
-        self.out = nn.Linear(sizes.width, sizes.width)
+        width = sizes[0]
+        self.query_token = nn.Parameter(torch.zeros(1, width))
+        self.embed_motion = nn.Linear(num_inputs, width)
+        self.sequence_pos_encoder = nn.ParameterDict({"pe": torch.zeros(num_positions, width)})
+        self.transformer = _transformer(*sizes)
+        self.out_ln = nn.LayerNorm(width)
+        self.out = nn.Linear(width, width)
 
     def forward(self, frames: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch width"]:
-        """The output of a class token that is prepended to motions of one length."""
+        """One vector per motion."""
         token = self.query_token.expand(len(frames), 1, -1)
         steps = torch.cat((token, self.embed_motion(frames)), dim=1)
-        states = self.transformer(steps + self.sequence_pos_encoder.pe[: steps.shape[1]])
+        states = self.transformer(steps + self.sequence_pos_encoder["pe"][: steps.shape[1]])
         embedded: Tensor = self.out(self.out_ln(states[:, 0]))
         return embedded
 
 
 class MotionClip(nn.Module):
-    """Both encoders, uninitialised until weights are loaded; parameters have the published names."""
+    """Both encoders; parameters have the published names. `sizes`: width, width of feedforward layers, layers.
 
-    def __init__(self, kind: GuoKind, sizes: MotionClipSizes = PUBLISHED) -> None:
+    Published sizes: 512, 1024, 8; 49,408 word pieces, 77 places of a text, 2,000 of a motion.
+    """
+
+    def __init__(
+        self, num_inputs: int, num_positions: int, vocabulary: int, context: int, sizes: tuple[int, int, int]
+    ) -> None:
         super().__init__()
-        self.kind, self.num_features, self.sizes = kind, sizes.width, sizes
-        self.motion_encoder = _MotionEncoder(kind.num_inputs, sizes)
-        self.token_embedding = nn.Embedding(sizes.vocabulary, sizes.width)
-        self.positional_embedding = nn.Parameter(torch.zeros(sizes.context, sizes.width))
+        width = sizes[0]
+        self.motion_encoder = MotionEncoder(num_inputs, num_positions, sizes)
+        self.token_embedding = nn.Embedding(vocabulary, width)
+        self.positional_embedding = nn.Parameter(torch.zeros(context, width))
         self.logit_scale = nn.Parameter(torch.zeros(()))
-        self.textTransEncoder = _transformer(sizes)
-        self.text_ln = nn.LayerNorm(sizes.width)
-        self.out = nn.Linear(sizes.width, sizes.width)
-        self.eval().requires_grad_(False)
+        self.textTransEncoder = _transformer(*sizes)
+        self.text_ln = nn.LayerNorm(width)
+        self.out = nn.Linear(width, width)
 
-    def embed_motions(self, motions: list[Tensor], num_tokens: list[int]) -> Float[Tensor, "batch width"]:
-        """Unit-length embeddings of standardised frames [frames, numbers]; padding is masked."""
-        lengths = np.array([number * FRAMES_PER_TOKEN for number in num_tokens])
-        embedded = torch.empty(len(motions), self.num_features)
+    def embed_motions(self, motions: list[Tensor]) -> Float[Tensor, "batch width"]:
+        """Unit-length embeddings of standardised frames [frames, numbers]; motions of one length form a batch."""
+        lengths = np.array([len(motion) for motion in motions])
+        embedded = torch.empty(len(motions), len(self.out.bias))
         for length in np.unique(lengths).tolist():
             rows = np.flatnonzero(lengths == length).tolist()
-            embedded[rows] = self.motion_encoder(torch.stack([motions[row][:length] for row in rows]).float())
+            embedded[rows] = self.motion_encoder(torch.stack([motions[row] for row in rows]).float())
         return nn.functional.normalize(embedded, dim=1)
 
     def embed_texts(self, tokens: Int64[Tensor, "texts places"]) -> Float[Tensor, "texts width"]:
@@ -114,10 +84,6 @@ class MotionClip(nn.Module):
         states = self.text_ln(self.textTransEncoder(self.token_embedding(tokens) + self.positional_embedding))
         embedded: Tensor = self.out(states[torch.arange(len(tokens)), tokens.argmax(dim=1)])
         return nn.functional.normalize(embedded, dim=1)
-
-    def published(self) -> dict[str, dict[str, Tensor]]:
-        """Parameters and positional encodings by the checkpoint's key and names."""
-        return {KEY: {name: tensor.data for name, tensor in self.state_dict().items()}}
 
 
 def clip_tokens(
@@ -134,19 +100,7 @@ def clip_tokens(
     return rows
 
 
-def _embed_captions(
-    networks: MotionClip, tokenizer: Any, captions: Sequence[Caption]
-) -> Float64[np.ndarray, "texts features"]:
-    """One row per caption, in order; texts of more than 75 tokens are truncated."""
-    plain = [tokenizer(caption.text, add_special_tokens=False)["input_ids"] for caption in captions]
-    start, end = (int(tokenizer.convert_tokens_to_ids(token)) for token in (START, END))
-    tokens = torch.from_numpy(clip_tokens(plain, start, end, networks.sizes.context))
-    with torch.inference_mode():
-        rows = [networks.embed_texts(some) for some in torch.split(tokens, TEXTS_AT_ONCE)]
-    return np.asarray(torch.cat(rows).double().numpy())
-
-
-def load_motion_clip(folder: Path, sizes: MotionClipSizes = PUBLISHED) -> GuoEvaluator:
+def load_motion_clip(folder: Path) -> GuoEvaluator:
     """Load a folder with MARDM's weights and statistics and CLIP's vocabulary, as an evaluator of cosines.
 
     finest.tar of its `text_mot_match_clip/model`; eval_mean.npy and eval_std.npy of `utils/eval_mean_std`; vocab.json
@@ -155,34 +109,45 @@ def load_motion_clip(folder: Path, sizes: MotionClipSizes = PUBLISHED) -> GuoEva
     Raises `CheckpointError` for invalid weights, `GuoError` for other invalid files, and `MissingExtraError` without
     the extra `text`.
     """
-    weights = folder / WEIGHTS
-    found = foreign_tensors(read_foreign(weights), KEY, weights, WHAT)
-    shape = tuple(found[FIRST].shape) if FIRST in found else ()
-    if len(shape) != 2 or shape[1] not in KINDS or KINDS[shape[1]].is_weighted:
-        raise CheckpointError(f"{weights}: {KEY}/{FIRST} is {shape or 'missing'}; {WHAT} reads 67 or 64 numbers")
-    networks = MotionClip(KINDS[shape[1]], sizes)
-    fill_checked(networks.published()[KEY], found, KEY, weights, WHAT)
-    statistics = read_statistics(folder, networks.kind)
-    captions = partial(_embed_captions, networks, _tokenizer(folder, sizes))
-    return GuoEvaluator(networks, statistics, captions=captions, title="motion-clip", pair_score="clip_score")
-
-
-def _tokenizer(folder: Path, sizes: MotionClipSizes) -> Any:
-    for name in ("vocab.json", "merges.txt"):
-        if not (folder / name).is_file():
-            raise GuoError(f"{folder}: there is no {name}; CLIP's tokenizer has vocab.json and merges.txt")
+    path = folder / "finest.tar"
+    tensors = foreign_tensors(read_foreign(path), KEY, path, WHAT)
+    kind = kind_of(tensors.get("motion_encoder.embed_motion.weight"), ("mardm",), path, WHAT)
     try:
-        from transformers import CLIPTokenizer
-    except ImportError:
-        raise MissingExtraError("transformers", "text") from None
+        vocabulary, width = tensors["token_embedding.weight"].shape
+        (context, _), (num_positions, _) = (
+            tensors[name].shape for name in ("positional_embedding", "motion_encoder.sequence_pos_encoder.pe")
+        )
+        feedforward = len(tensors["textTransEncoder.layers.0.linear1.bias"])
+    except (KeyError, ValueError, TypeError) as error:
+        raise CheckpointError(f"{path}: not {WHAT} ({error})") from None
+    layers = sum(name.startswith("textTransEncoder.") and name.endswith("linear1.bias") for name in tensors)
+    with torch.device("meta"):
+        network = MotionClip(kind.num_inputs, num_positions, vocabulary, context, (width, feedforward, layers))
+    network = with_weights(network, tensors, path, WHAT)
+    if not (folder / "merges.txt").is_file():
+        raise GuoError(f"{folder}: there is no merges.txt; CLIP's tokenizer has vocab.json and merges.txt")
     try:
         words = json.loads((folder / "vocab.json").read_text(encoding="utf-8"))
         ends = [words.get(token) for token in (START, END)]
     except (ValueError, AttributeError, OSError) as error:
         raise GuoError(f"{folder}/vocab.json: not a vocabulary ({error})") from None
-    if len(words) != sizes.vocabulary or ends != [sizes.vocabulary - 2, sizes.vocabulary - 1]:
+    if len(words) != vocabulary or ends != [vocabulary - 2, vocabulary - 1]:
         raise GuoError(
-            f"{folder}: {len(words)} word pieces with start and end of text at {ends}; CLIP's are "
-            f"{sizes.vocabulary:,}, these two the last"
+            f"{folder}: {len(words)} word pieces with start and end of text at {ends}; CLIP's are {vocabulary:,}, "
+            "these two the last"
         )
-    return CLIPTokenizer.from_pretrained(folder, local_files_only=True)
+    try:
+        from transformers import CLIPTokenizer
+    except ImportError:
+        raise MissingExtraError("transformers", "text") from None
+    tokenizer = CLIPTokenizer.from_pretrained(folder, local_files_only=True)
+
+    def embed_captions(captions: list[Caption]) -> Tensor:
+        plain = [tokenizer(caption.text, add_special_tokens=False)["input_ids"] for caption in captions]
+        return network.embed_texts(torch.from_numpy(clip_tokens(plain, vocabulary - 2, vocabulary - 1, context)))
+
+    statistics = read_statistics(folder, kind)
+    fingerprint = fingerprint_of(f"motion-clip {kind.dataset}", network, statistics)
+    return GuoEvaluator(
+        "motion-clip", kind, statistics, fingerprint, network.embed_motions, embed_captions, "clip_score"
+    )

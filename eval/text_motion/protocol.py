@@ -1,15 +1,17 @@
-"""Protocols of text-to-motion: what each published evaluation draws, pairs, drops and repeats.
+"""Protocols of text-to-motion, one row of a table each: what a published evaluation draws, pairs, drops and repeats.
 
 They follow the sources, which were not run. The published loaders also draw one of a motion's captions and a random
 crop to a multiple of four frames in every replication; that is not part of a protocol here.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import floor
 from typing import Literal
 
 from motionkit.core.errors import UsageError
+
+KIT_FPS = Fraction(25, 2)
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,12 @@ class LengthRule:
         """Number of poses of the longest uncropped motion."""
         return floor(self.longest_seconds * float(fps) + 1e-6) + 1
 
+    def limited(self, longest_seconds: float) -> "LengthRule":
+        """The rule for a model of shorter motions: real ones are cropped to its longest duration."""
+        if longest_seconds >= self.longest_seconds:
+            return self
+        return LengthRule(min(self.shortest_seconds, longest_seconds), longest_seconds, "cropped")
+
 
 @dataclass(frozen=True)
 class RetrievalRule:
@@ -66,11 +74,11 @@ class RetrievalRule:
     directions: tuple[str, ...] = ("text asks for motion", "motion asks for text")
 
 
-PUBLISHED_LENGTHS = LengthRule(2.0, 9.95, "left out")
-"""40 to 199 pose vectors at 20 fps (text-to-motion, data/dataset.py)."""
-PUBLISHED_KIT_LENGTHS = LengthRule(1.92, 15.92, "left out")
-"""24 to 199 pose vectors at 12.5 fps (same source)."""
-KIT_FPS = Fraction(25, 2)
+# 40 to 199 pose vectors at 20 fps, 24 to 199 at KIT-ML's 12.5 (text-to-motion, data/dataset.py).
+PUBLISHED_LENGTHS, PUBLISHED_KIT_LENGTHS = LengthRule(2.0, 9.95, "left out"), LengthRule(1.92, 15.92, "left out")
+# The longest that Guo's evaluators read, 196 pose vectors.
+OWN_LENGTHS, OWN_KIT_LENGTHS = LengthRule(0.6, 9.8, "cropped"), LengthRule(0.6, 15.68, "cropped")
+SHARED, DISTINCT = MultiModalityRule(), MultiModalityRule(pairs="distinct")
 
 
 @dataclass(frozen=True)
@@ -82,8 +90,7 @@ class TextMotionProtocol:
     `num_motions`: number of generated motions used, None for all. `reference`: FID against the whole real set
     ("whole"), the real motions of the same texts ("paired") or another random order of the real set with its own
     remainder ("redraw"). `asks`: the direction of the source's R-Precision; both are computed. `details`: metrics that
-    are computed once, on the first draw. `retrieval`: tables of retrieval. `kit_lengths` are the `lengths` of KIT-ML.
-    Raises `ValueError` for invalid numbers.
+    are computed once, on the first draw. `kit_lengths` are the `lengths` of KIT-ML.
     """
 
     name: str
@@ -97,134 +104,100 @@ class TextMotionProtocol:
     asks: Literal["text", "motion"] = "text"
     replications: int = 20
     diversity_pairs: int = 300
-    multimodality: MultiModalityRule = field(default_factory=MultiModalityRule)
+    multimodality: MultiModalityRule = SHARED
     lengths: LengthRule = PUBLISHED_LENGTHS
     kit_lengths: LengthRule = PUBLISHED_KIT_LENGTHS
     details: tuple[str, ...] = ()
     retrieval: tuple[RetrievalRule, ...] = ()
     remarks: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        if self.pool < 2 or self.replications < 1 or self.diversity_pairs < 1:
-            raise ValueError(f"protocol {self.name!r}: a pool needs 2 motions, a mean 1 replication and 1 pair")
-        if self.num_motions is not None and self.num_motions < self.pool:
-            raise ValueError(f"protocol {self.name!r}: {self.num_motions} motions do not fill a pool of {self.pool}")
-
     def lengths_at(self, fps: Fraction) -> LengthRule:
         """The rule of lengths for motions at a framerate: KIT-ML's at its 12.5 fps, HumanML3D's at any other."""
         return self.kit_lengths if fps == KIT_FPS else self.lengths
 
 
-OWN_LENGTHS = "Its models choose the length of a motion; here a motion is as long as the sample is."
-
 NATIVE = TextMotionProtocol(
-    name="native",
-    title="motionkit",
-    source="docs/metrics.md",
+    *("native", "motionkit", "docs/metrics.md"),
     remainder="R-Precision",
     reference="whole",
-    multimodality=MultiModalityRule(pairs="distinct"),
-    # The longest that Guo's evaluators take, 196 pose vectors.
-    lengths=LengthRule(0.6, 9.8, "cropped"),
-    kit_lengths=LengthRule(0.6, 15.68, "cropped"),
+    multimodality=DISTINCT,
+    lengths=OWN_LENGTHS,
+    kit_lengths=OWN_KIT_LENGTHS,
     details=("fid_infinity", "kid"),
 )
-T2M = TextMotionProtocol(
-    name="t2m",
-    title="text-to-motion",
-    source="Guo et al. 2022, final_evaluations.py",
-    reference="redraw",
-)
-MDM = TextMotionProtocol(
-    name="mdm",
-    title="MDM",
-    source="Tevet et al. 2023, eval/eval_humanml.py",
-    num_motions=1024,
-    reference="redraw",
-    multimodality=MultiModalityRule(num_texts=128, replications=5),
-    remarks=("MDM generates 1,024 motions: its FID does not compare with that of 4,640.",),
-)
-MLD = TextMotionProtocol(
-    name="mld",
-    title="MLD",
-    source="Chen et al. 2023, mld/models/metrics/tm2t.py and mm.py",
-    remainder="R-Precision",
-)
-T2M_GPT = TextMotionProtocol(
-    name="t2m-gpt",
-    title="T2M-GPT",
-    source="Zhang et al. 2023, utils/eval_trans.py",
-    multimodality=MultiModalityRule(num_texts=None),
-    remarks=(OWN_LENGTHS,),
-)
-MOMASK = TextMotionProtocol(
-    name="momask",
-    title="MoMask",
-    source="Guo et al. 2024, utils/eval_t2m.py",
-    multimodality=MultiModalityRule(num_texts=96),
-)
-NERM = TextMotionProtocol(
-    name="nerm",
-    title="NeRM",
-    source="Wei et al. 2024, appendix C.1",
-    num_motions=1000,
-    remainder="R-Precision",
-    reference="whole",
-    asks="motion",
-    multimodality=MultiModalityRule(pairs="distinct"),
-    remarks=("The paper's words: its code is not published. How many texts MultiModality has it does not say.",),
-)
-MARDM = TextMotionProtocol(
-    name="mardm",
-    title="MARDM",
-    source="neu-vi/MARDM @ 443313b, evaluation_MARDM.py and utils/eval_utils.py",
-    multimodality=MultiModalityRule(num_texts=96),
-    remarks=("MARDM's evaluators read 67 numbers (KIT-ML: 64): --evaluator guo,motion-clip with its own weights.",),
-)
-WHOLE_SET = (
-    "The number of motions that a text chooses among is in the table's name: recalls of different N do not compare."
-)
-TMR = TextMotionProtocol(
+TMR = replace(
+    NATIVE,
     name="tmr",
     title="TMR",
     source="Mathux/TMR @ 6d74688, retrieval.py and src/model/metrics.py",
-    remainder="R-Precision",
-    multimodality=NATIVE.multimodality,
-    lengths=NATIVE.lengths,
-    kit_lengths=NATIVE.kit_lengths,
+    reference="paired",
+    details=(),
     retrieval=(
         RetrievalRule("all"),
         RetrievalRule("all, texts of a score above 0.95 are one", same_above=0.95),
         RetrievalRule("100 dissimilar texts", least_similar=100),
         RetrievalRule("pools of 32", pool=32),
     ),
-    remarks=(WHOLE_SET,),
-)
-KIMODO = TextMotionProtocol(
-    name="kimodo",
-    title="Kimodo",
-    source="nv-tlabs/kimodo @ 7330e7e, kimodo/metrics/tmr.py",
-    remainder="R-Precision",
-    multimodality=NATIVE.multimodality,
-    lengths=NATIVE.lengths,
-    kit_lengths=NATIVE.kit_lengths,
-    retrieval=(
-        RetrievalRule(
-            "all, texts that the evaluator scores above 0.99 are one",
-            same_above=0.99,
-            same_by="texts",
-            directions=("text asks for motion", "motion asks for real motion"),
-        ),
+    remarks=(
+        "The number of motions that a text chooses among is in the table's name: recalls of different N do not "
+        "compare.",
     ),
-    remarks=(WHOLE_SET,),
 )
-TEXT_MOTION_PROTOCOLS = (NATIVE, NERM, T2M, MDM, MLD, T2M_GPT, MOMASK, MARDM, TMR, KIMODO)
+ONE_ABOVE_099 = RetrievalRule(
+    "all, texts that the evaluator scores above 0.99 are one",
+    same_above=0.99,
+    same_by="texts",
+    directions=("text asks for motion", "motion asks for real motion"),
+)
+TEXT_MOTION_PROTOCOLS = (
+    NATIVE,
+    TextMotionProtocol(
+        *("nerm", "NeRM", "Wei et al. 2024, appendix C.1"),
+        num_motions=1000,
+        remainder="R-Precision",
+        reference="whole",
+        asks="motion",
+        multimodality=DISTINCT,
+        remarks=("The paper's words: its code is not published. How many texts MultiModality has it does not say.",),
+    ),
+    TextMotionProtocol("t2m", "text-to-motion", "Guo et al. 2022, final_evaluations.py", reference="redraw"),
+    TextMotionProtocol(
+        *("mdm", "MDM", "Tevet et al. 2023, eval/eval_humanml.py"),
+        num_motions=1024,
+        reference="redraw",
+        multimodality=MultiModalityRule(num_texts=128, replications=5),
+        remarks=("MDM generates 1,024 motions: its FID does not compare with that of 4,640.",),
+    ),
+    TextMotionProtocol(
+        *("mld", "MLD", "Chen et al. 2023, mld/models/metrics/tm2t.py and mm.py"), remainder="R-Precision"
+    ),
+    TextMotionProtocol(
+        *("t2m-gpt", "T2M-GPT", "Zhang et al. 2023, utils/eval_trans.py"),
+        multimodality=MultiModalityRule(num_texts=None),
+        remarks=("Its models choose the length of a motion; here a motion is as long as the sample is.",),
+    ),
+    TextMotionProtocol(
+        *("momask", "MoMask", "Guo et al. 2024, utils/eval_t2m.py"), multimodality=MultiModalityRule(num_texts=96)
+    ),
+    TextMotionProtocol(
+        *("mardm", "MARDM", "neu-vi/MARDM @ 443313b, evaluation_MARDM.py and utils/eval_utils.py"),
+        multimodality=MultiModalityRule(num_texts=96),
+        remarks=("MARDM's evaluators read 67 numbers (KIT-ML: 64): --evaluator guo,motion-clip with its own weights.",),
+    ),
+    TMR,
+    replace(
+        TMR,
+        name="kimodo",
+        title="Kimodo",
+        source="nv-tlabs/kimodo @ 7330e7e, kimodo/metrics/tmr.py",
+        retrieval=(ONE_ABOVE_099,),
+    ),
+)
 
 
 def find_text_motion_protocol(name: str) -> TextMotionProtocol:
     """A protocol by name. Raises `UsageError` that lists the names."""
-    for protocol in TEXT_MOTION_PROTOCOLS:
-        if protocol.name == name:
-            return protocol
-    known = ", ".join(protocol.name for protocol in TEXT_MOTION_PROTOCOLS)
-    raise UsageError(f"there is no text-to-motion protocol {name!r}: {known}")
+    known = {protocol.name: protocol for protocol in TEXT_MOTION_PROTOCOLS}
+    if name not in known:
+        raise UsageError(f"there is no text-to-motion protocol {name!r}: {', '.join(known)}")
+    return known[name]

@@ -1,23 +1,134 @@
-"""Text-to-motion scores from embeddings of texts, of real and of generated motions."""
+"""Text-to-motion scores from embeddings of texts, of real and of generated motions, and their bootstrap over takes."""
 
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
 from eval.metrics.actions import diversity, multimodality, multimodality_shared_pairs
 from eval.metrics.distributions import Gaussian, fid_infinity, fit_gaussian, frechet_distance, kid
-from eval.metrics.number import Scores
-from eval.metrics.retrieval import clip_score, pool_distances, ranked_both_ways, tmr_score
-from eval.text_motion.pairs import AddTerms, PairTerms, TextMotionPairs, resampled_multimodality
-from eval.text_motion.protocol import TextMotionProtocol
-from motionkit.core.shapes import Float, Int64
+from eval.metrics.number import (
+    Number,
+    Resampled,
+    Resampling,
+    Scores,
+    Units,
+    over_replications,
+    resampled_fid,
+    resampled_mean_distance,
+    units_of,
+    weighted_means,
+)
+from eval.metrics.retrieval import (
+    RANKS,
+    RECALL_RANKS,
+    clip_score,
+    cosines,
+    hits,
+    least_similar,
+    pool_distances,
+    retrieval,
+    tmr_score,
+)
+from eval.text_motion.protocol import MultiModalityRule, RetrievalRule, TextMotionProtocol
+from motionkit.core.shapes import Bool, Float, Float64, Int64
 
 PAIR_SCORES = {"clip_score": clip_score, "tmr_score": tmr_score}
 GENERATED, REAL, DIVERSITY, MULTIMODALITY = range(4)
 """Random streams of one replication, so that a metric's draws do not affect another's."""
+RETRIEVAL = 9
+"""The random stream of retrieval's pools."""
+SUFFIXES: Mapping[str, str] = {
+    "text asks for motion": "",
+    "motion asks for text": "_motion_asks",
+    "motion asks for real motion": "_real_asked",
+}
 
-Order = Int64[np.ndarray, "_chosen"]
+
+@dataclass(frozen=True, eq=False)
+class TextMotionPairs:
+    """Embeddings of texts and of the motions that belong to them, row by row, in one space.
+
+    `takes` name the real take of each pair, which intervals resample; without them each row is a take of its own.
+    Raises `ValueError` for unequal numbers or widths, or no pairs.
+    """
+
+    texts: Float[np.ndarray, "texts numbers"]
+    motions: Float[np.ndarray, "motions features"]
+    takes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.texts.shape != self.motions.shape or not len(self.texts):
+            raise ValueError(
+                f"embeddings of texts are {self.texts.shape}, of motions {self.motions.shape}: "
+                "one of either for each pair"
+            )
+        if len(self.takes) not in (0, len(self.texts)):
+            raise ValueError(f"{len(self.takes)} takes for {len(self.texts)} pairs")
+
+    def select(self, rows: Int64[np.ndarray, "chosen"]) -> "TextMotionPairs":
+        """Some of the pairs, in the order of `rows`."""
+        takes = tuple(self.takes[row] for row in rows.tolist()) if self.takes else ()
+        return TextMotionPairs(self.texts[rows], self.motions[rows], takes)
+
+    @property
+    def take_names(self) -> tuple[str, ...]:
+        """The take of each pair; by default its row's index."""
+        return self.takes or tuple(map(str, range(len(self.motions))))
+
+
+class PairTerms:
+    """R-Precision and MM-Dist of every pair of some draws over all replications, and the take of each pair."""
+
+    def __init__(self, draws: Sequence[TextMotionPairs]) -> None:
+        self._draws = draws
+        self._values: dict[str, list[Float64[np.ndarray, _queries]]] = defaultdict(list)
+        self._rows: list[Int64[np.ndarray, _queries]] = []
+
+    def add(self, which: int, order: Int64[np.ndarray, "chosen"], pool: int, scores: Scores) -> None:
+        """Rank the pairs of one draw in pools that are cut from `order`; add a replication to `scores`."""
+        draw, first = self._draws[which], sum(len(each.motions) for each in self._draws[:which])
+        distances = pool_distances(draw.texts, draw.motions, order, pool)
+        values = {"mm_dist": np.diagonal(distances, axis1=1, axis2=2)}
+        for suffix, directed in (("", distances), ("_motion_asks", distances.swapaxes(1, 2))):
+            for rank, found in enumerate(hits(directed, RANKS), start=1):
+                values[f"r_precision_top{rank}{suffix}"] = found
+        for name, found in values.items():
+            scores.add(name, float(found.mean()))
+            self._values[name].append(found.ravel())
+        self._rows.append(first + order[: len(order) // pool * pool])
+
+    def resampled_means(self) -> dict[str, Resampled]:
+        """R-Precision and MM-Dist in the bootstrap over takes."""
+        units = self._units(None)
+        unit, weights = units.unit[np.concatenate(self._rows)], units.weights(Resampling())
+        return {name: weighted_means(np.concatenate(values), unit, weights) for name, values in self._values.items()}
+
+    def resampled(self, real: TextMotionPairs, pair_score: str) -> dict[str, Resampled]:
+        """Every metric in the bootstrap over takes; none if there is a single take."""
+        units = self._units(None)
+        if len(set(units.takes)) < 2:
+            return {}
+        weights = units.weights(Resampling())
+        motions = np.concatenate([draw.motions for draw in self._draws]).astype(np.float64)
+        found = self.resampled_means() | {
+            "fid": resampled_fid(real.motions.astype(np.float64), real.take_names, motions, self._units),
+            "diversity": resampled_mean_distance(motions, units.unit, weights),
+        }
+        if pair_score:
+            pairs = [pair for draw in self._draws for pair in zip(draw.texts, draw.motions, strict=True)]
+            values = np.array([PAIR_SCORES[pair_score](text[None], motion[None]) for text, motion in pairs])
+            found[pair_score] = weighted_means(values, units.unit, weights)
+        return found
+
+    def _units(self, blocks: int | None) -> Units:
+        takes = [take for draw in self._draws for take in draw.take_names]
+        draws = [number for number, draw in enumerate(self._draws) for _ in draw.take_names]
+        return units_of(takes, draws if len(self._draws) > 1 else (), blocks)
 
 
 def score_text_motion(
@@ -40,138 +151,120 @@ def score_text_motion(
 
     Raises `ValueError` for pairs that do not fit together or are not finite, and fewer than a pool of them.
     """
-    if not draws:
-        raise ValueError("there is no set of motions to score")
-    for draw in draws:
-        _check(real, draw, protocol)
-    scores, fids, terms = Scores(remarks=list(protocol.remarks)), _Fids(real, draws, protocol), PairTerms(draws)
+    _check(real, draws, protocol)
+    scores, terms, fid = Scores(remarks=list(protocol.remarks)), PairTerms(draws), _fid_of(real, draws, protocol, seed)
     # As in `fid`: a single BLAS thread is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
         for replication in range(protocol.replications):
             which = replication % len(draws)
             draw = draws[which]
             order = np.random.default_rng((seed, replication, GENERATED)).permutation(len(draw.motions))
-            order = order[: _counted(len(order), protocol)]
-            _add_precision(draw, order, protocol, scores, terms.of_draw(which))
-            scores.add("fid", fids.value(which, order, seed, replication))
-            rng = np.random.default_rng((seed, replication, DIVERSITY))
+            order = order[: _num_counted(draw, protocol)]
+            terms.add(which, order, protocol.pool, scores)
+            scores.add("fid", fid(which, order, replication))
             if pair_score:
                 scores.add(pair_score, PAIR_SCORES[pair_score](draw.texts[order], draw.motions[order]))
+            rng = np.random.default_rng((seed, replication, DIVERSITY))
             scores.add("diversity", diversity(draw.motions[order], rng, protocol.diversity_pairs))
             if repeated is not None and replication < protocol.multimodality.replications:
-                _add_multimodality(
-                    repeated, protocol, np.random.default_rng((seed, replication, MULTIMODALITY)), scores
-                )
+                rng = np.random.default_rng((seed, replication, MULTIMODALITY))
+                _add_multimodality(repeated, protocol.multimodality, rng, scores)
             on_replication()
-        _add_details(real, draws[0], protocol, seed, scores)
-        if pair_score:
-            scores.resampled[pair_score] = terms.resampled_mean(PAIR_SCORES[pair_score])
-        scores.resampled |= terms.resampled(real) | resampled_multimodality(repeated, protocol.multimodality.metric)
+        if real is not draws[0]:  # once: they cost more than everything else, and draw no pools or pairs
+            if "fid_infinity" in protocol.details:
+                try:
+                    limit = fid_infinity(real.motions, draws[0].motions, np.random.default_rng(seed))
+                    scores.add("fid_infinity", limit)
+                except ValueError as error:
+                    scores.remark(f"FID∞ is left out: {error}")
+            if "kid" in protocol.details:
+                scores.add("kid", kid(real.motions, draws[0].motions))
+        scores.resampled |= terms.resampled(real, pair_score)
+        if repeated is not None and min(repeated.shape[:2]) > 1:
+            distances = np.linalg.norm(repeated - np.roll(repeated, 1, axis=1), axis=-1).mean(axis=1)
+            weights = Resampling().weights([f"text {number}" for number in range(len(repeated))])
+            scores.resampled[protocol.multimodality.metric] = weighted_means(
+                distances, np.arange(len(repeated)), weights
+            )
     scores.remark_on_draws(len(draws), protocol.replications)
-    scores.sizes = {"real": fids.num_real, "generated": _counted(len(draws[0].motions), protocol), "draws": len(draws)}
+    counted = _num_counted(draws[0], protocol)
+    num_real = {"whole": len(real.motions), "paired": counted, "redraw": _num_kept(len(real.motions), protocol)}
+    scores.sizes = {"real": num_real[protocol.reference], "generated": counted, "draws": len(draws)}
     _remark_on_sizes(real.motions.shape[1], protocol, scores)
     if repeated is not None:
         scores.sizes |= {"multimodality texts": len(repeated), "multimodality generations": repeated.shape[1]}
     return scores
 
 
-def _check(real: TextMotionPairs, draw: TextMotionPairs, protocol: TextMotionProtocol) -> None:
-    if draw.motions.shape[1] != real.motions.shape[1]:
-        raise ValueError(
-            f"embeddings of real motions have {real.motions.shape[1]} numbers, "
-            f"of generated ones {draw.motions.shape[1]}"
-        )
-    if len(draw.motions) < protocol.pool:
-        raise ValueError(
-            f"{len(draw.motions)} motions: a text chooses among {protocol.pool} (protocol {protocol.name!r}), so there "
-            "must be that many at least"
-        )
-    if protocol.reference == "paired" and len(draw.motions) != len(real.motions):
-        raise ValueError(
-            f"protocol {protocol.name!r} compares with the real motions of the same texts, but there are "
-            f"{len(draw.motions)} generated and {len(real.motions)} real motions: give those that belong together, or "
-            "choose a protocol with an independent reference (t2m, mdm)"
-        )
+def _check(real: TextMotionPairs, draws: Sequence[TextMotionPairs], protocol: TextMotionProtocol) -> None:
+    if not draws:
+        raise ValueError("there is no set of motions to score")
+    for draw in draws:
+        number, features = draw.motions.shape
+        if features != real.motions.shape[1]:
+            raise ValueError(
+                f"embeddings of real motions have {real.motions.shape[1]} numbers, of generated ones {features}"
+            )
+        if number < protocol.pool:
+            raise ValueError(
+                f"{number} motions: a text chooses among {protocol.pool} (protocol {protocol.name!r}), so there must "
+                "be that many at least"
+            )
+        if protocol.reference == "paired" and number != len(real.motions):
+            raise ValueError(
+                f"protocol {protocol.name!r} compares with the real motions of the same texts, but there are {number} "
+                f"generated and {len(real.motions)} real motions: give those that belong together, or choose a "
+                "protocol with an independent reference (t2m, mdm)"
+            )
 
 
-def _counted(number: int, protocol: TextMotionProtocol) -> int:
+def _num_counted(draw: TextMotionPairs, protocol: TextMotionProtocol) -> int:
     """Number of generated motions used."""
-    return _kept(number if protocol.num_motions is None else min(number, protocol.num_motions), protocol)
+    number = len(draw.motions)
+    return _num_kept(number if protocol.num_motions is None else min(number, protocol.num_motions), protocol)
 
 
-def _kept(number: int, protocol: TextMotionProtocol) -> int:
+def _num_kept(number: int, protocol: TextMotionProtocol) -> int:
     return number if protocol.remainder == "R-Precision" else number // protocol.pool * protocol.pool
 
 
-def _add_precision(
-    draw: TextMotionPairs,
-    order: Order,
-    protocol: TextMotionProtocol,
-    scores: Scores,
-    terms: AddTerms,
-) -> None:
-    distances = pool_distances(draw.texts, draw.motions, order, protocol.pool)
-    found = ranked_both_ways(distances)
-    terms(distances, order)
-    for suffix, direction in (("", found.text_asks), ("_motion_asks", found.motion_asks)):
-        for rank, share in enumerate(direction.top.tolist(), start=1):
-            scores.add(f"r_precision_top{rank}{suffix}", share)
-    scores.add("mm_dist", found.text_asks.matching_distance)
+def _fid_of(
+    real: TextMotionPairs, draws: Sequence[TextMotionPairs], protocol: TextMotionProtocol, seed: int
+) -> Callable[[int, Int64[np.ndarray, "_chosen"], int], float]:
+    """FID of some motions (`order`) of a draw against the protocol's reference; whole sets are fitted once."""
 
+    @cache
+    def whole(which: int | None) -> Gaussian:
+        return fit_gaussian(real.motions if which is None else draws[which].motions)
 
-class _Fids:
-    """FID of each replication; constant parts are fitted once."""
+    @cache
+    def whole_distance(which: int) -> float:
+        return frechet_distance(whole(None), whole(which))
 
-    def __init__(self, real: TextMotionPairs, draws: Sequence[TextMotionPairs], protocol: TextMotionProtocol) -> None:
-        self._real, self._draws, self._protocol = real.motions, draws, protocol
-        self._whole: dict[int | None, Gaussian] = {}
-        self._of_draws: dict[int, float] = {}
-        self.num_real = 0
+    def fid(which: int, order: Int64[np.ndarray, "_chosen"], replication: int) -> float:
+        motions, reference = draws[which].motions, np.arange(len(real.motions))
+        if protocol.reference == "paired":
+            reference = order
+        if protocol.reference == "redraw":
+            shuffled = np.random.default_rng((seed, replication, REAL)).permutation(len(real.motions))
+            reference = shuffled[: _num_kept(len(real.motions), protocol)]
+        all_real, all_generated = len(reference) == len(real.motions), len(order) == len(motions)
+        if all_real and all_generated:
+            return whole_distance(which)
+        return frechet_distance(
+            whole(None) if all_real else fit_gaussian(real.motions[reference]),
+            whole(which) if all_generated else fit_gaussian(motions[order]),
+        )
 
-    def value(self, which: int, order: Order, seed: int, replication: int) -> float:
-        """FID of the chosen motions of one draw against the protocol's reference."""
-        reference = self._reference(order, seed, replication)
-        self.num_real = len(self._real) if reference is None else len(reference)
-        fixed = reference is None and len(order) == len(self._draws[which].motions)
-        if fixed and which in self._of_draws:
-            return self._of_draws[which]
-        distance = frechet_distance(self._gaussian(reference), self._gaussian_of(which, order))
-        if fixed:
-            self._of_draws[which] = distance
-        return distance
-
-    def _reference(self, order: Order, seed: int, replication: int) -> Order | None:
-        """Rows of the real set in the reference; None for all."""
-        everything = len(self._real)
-        if self._protocol.reference == "whole":
-            return None
-        if self._protocol.reference == "paired":
-            return None if len(order) == everything else order
-        kept = _kept(everything, self._protocol)
-        if kept == everything:
-            return None
-        return np.random.default_rng((seed, replication, REAL)).permutation(everything)[:kept]
-
-    def _gaussian(self, rows: Order | None) -> Gaussian:
-        return self._all(None, self._real) if rows is None else fit_gaussian(self._real[rows])
-
-    def _gaussian_of(self, which: int, order: Order) -> Gaussian:
-        motions = self._draws[which].motions
-        return self._all(which, motions) if len(order) == len(motions) else fit_gaussian(motions[order])
-
-    def _all(self, key: int | None, features: Float[np.ndarray, "samples features"]) -> Gaussian:
-        if key not in self._whole:
-            self._whole[key] = fit_gaussian(features)
-        return self._whole[key]
+    return fid
 
 
 def _add_multimodality(
     repeated: Float[np.ndarray, "texts generations features"],
-    protocol: TextMotionProtocol,
+    rule: MultiModalityRule,
     rng: np.random.Generator,
     scores: Scores,
 ) -> None:
-    rule = protocol.multimodality
     texts, generations = repeated.shape[:2]
     needed = 2 * rule.num_pairs if rule.pairs == "distinct" else rule.num_pairs
     if generations < needed:
@@ -181,33 +274,16 @@ def _add_multimodality(
         )
         return
     if generations != rule.num_generations or (rule.num_texts is not None and texts < rule.num_texts):
-        asked = "every text" if rule.num_texts is None else f"{rule.num_texts} texts"
+        expected = "every text" if rule.num_texts is None else f"{rule.num_texts} texts"
         scores.remark(
-            f"protocol {protocol.name!r} asks {rule.num_generations} motions of {asked} for MultiModality; here are "
+            f"the protocol has {rule.num_generations} motions of {expected} for MultiModality; here are "
             f"{generations} motions of {texts} texts"
         )
-    chosen = repeated
+    chosen = repeated[:, : rule.num_generations]
     if rule.num_texts is not None and texts > rule.num_texts:
-        chosen = repeated[rng.choice(texts, size=rule.num_texts, replace=False)]
-    chosen = chosen[:, : rule.num_generations]
+        chosen = chosen[rng.choice(texts, size=rule.num_texts, replace=False)]
     function = multimodality if rule.pairs == "distinct" else multimodality_shared_pairs
     scores.add(rule.metric, function(chosen, rng=rng, num_pairs=rule.num_pairs))
-
-
-def _add_details(
-    real: TextMotionPairs, draw: TextMotionPairs, protocol: TextMotionProtocol, seed: int, scores: Scores
-) -> None:
-    """FID_∞ and KID of the first draw only: they cost more than everything else, and draw no pools or pairs."""
-    if real is draw:
-        return
-    if "fid_infinity" in protocol.details:
-        try:
-            rng = np.random.default_rng(seed)
-            scores.add("fid_infinity", fid_infinity(real.motions, draw.motions, rng))
-        except ValueError as error:
-            scores.remark(f"FID∞ is left out: {error}")
-    if "kid" in protocol.details:
-        scores.add("kid", kid(real.motions, draw.motions))
 
 
 def _remark_on_sizes(features: int, protocol: TextMotionProtocol, scores: Scores) -> None:
@@ -224,3 +300,78 @@ def _remark_on_sizes(features: int, protocol: TextMotionProtocol, scores: Scores
         )
     if sizes["generated"] < protocol.diversity_pairs:
         scores.remark(f"Diversity pairs {sizes['generated']} motions, not {protocol.diversity_pairs}")
+
+
+def score_retrieval(
+    real: TextMotionPairs,
+    draws: Sequence[TextMotionPairs],
+    rule: RetrievalRule,
+    sentences: Float[np.ndarray, "pairs numbers"],
+    seed: int,
+    distance: Callable[..., Float[np.ndarray, "queries candidates"]] = cdist,
+) -> dict[str, Number]:
+    """Recalls and median ranks by their names in `eval.metrics.metric`, means over the draws (and over pools).
+
+    Row i of every draw was generated for text i, whose real motion is row i of `real` and whose sentence embedding, of
+    an independent encoder, is row i of `sentences`. Candidates are ranked by `distance`, Euclidean by default: of
+    embeddings of length 1 that is the order of cosines. Raises `ValueError` for fewer pairs than a pool.
+    """
+    found: dict[str, list[float]] = {}
+    for draw in draws:
+        same = _same_texts(rule, draw, sentences)
+        for rows in _ranked_together(rule, sentences, seed):
+            sides = {
+                "text asks for motion": (draw.texts, draw.motions),
+                "motion asks for text": (draw.motions, draw.texts),
+                "motion asks for real motion": (draw.motions, real.motions),
+            }
+            for direction in rule.directions:
+                queries, candidates = (side[rows] for side in sides[direction])
+                ranked = retrieval(distance(queries, candidates), None if same is None else same[np.ix_(rows, rows)])
+                suffix = SUFFIXES[direction]
+                for rank, share in zip(RECALL_RANKS, ranked.recall.tolist(), strict=True):
+                    found.setdefault(f"recall_at_{rank}{suffix}", []).append(share)
+                found.setdefault(f"median_rank{suffix}", []).append(ranked.median_rank)
+    return {name: over_replications(values) for name, values in found.items()}
+
+
+def no_distance(
+    queries: Float[np.ndarray, "queries numbers"], candidates: Float[np.ndarray, "candidates numbers"]
+) -> Float[np.ndarray, "queries candidates"]:
+    """Constant distances, by which retrieval is chance."""
+    return np.zeros((len(queries), len(candidates)))
+
+
+def share_of_same_texts(
+    rule: RetrievalRule, pairs: TextMotionPairs, sentences: Float[np.ndarray, "pairs numbers"]
+) -> float:
+    """Mean fraction of the other texts that count as the same by the rule, which chance gains from."""
+    same = _same_texts(rule, pairs, sentences)
+    number = len(pairs.texts)
+    return 0.0 if same is None or number < 2 else float((same.sum() - number) / (number * (number - 1)))
+
+
+def _same_texts(
+    rule: RetrievalRule, draw: TextMotionPairs, sentences: Float[np.ndarray, "pairs numbers"]
+) -> Bool[np.ndarray, "pairs pairs"] | None:
+    """Which pairs have the same text by the rule, and so are relevant to each other; None for a pair's own alone."""
+    if rule.same_above is None:
+        return None
+    texts = sentences if rule.same_by == "sentences" else draw.texts
+    same = cosines(texts, texts) > 2.0 * rule.same_above - 1.0
+    np.fill_diagonal(same, True)
+    return same
+
+
+def _ranked_together(
+    rule: RetrievalRule, sentences: Float[np.ndarray, "pairs numbers"], seed: int
+) -> list[Int64[np.ndarray, "_rows"]]:
+    number = len(sentences)
+    if rule.pool is not None:
+        if number < rule.pool:
+            raise ValueError(f"{rule.name}: {number} pairs do not fill a pool of {rule.pool}")
+        order = np.random.default_rng((seed, RETRIEVAL)).permutation(number)
+        return list(order[: number // rule.pool * rule.pool].reshape(-1, rule.pool))
+    if rule.least_similar is not None:
+        return [least_similar(cosines(sentences, sentences), rule.least_similar)]
+    return [np.arange(number)]

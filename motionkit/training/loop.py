@@ -7,6 +7,7 @@ equal to an uninterrupted one. With a budget of processor time it is measured fi
 Tensors are in safetensors files with a JSON description; of other people's checkpoints no pickle is executed.
 """
 
+import hashlib
 import json
 import signal
 import threading
@@ -529,3 +530,11 @@ def fill_checked(
     with torch.no_grad():
         for name, tensor in own.items():
             tensor.copy_(published[name])
+
+
+def weights_digest(terms: str, tensors: Mapping[str, torch.Tensor]) -> str:
+    """First 16 hex digits of the sha256 over settings and weights, independent of the weights' order."""
+    digest = hashlib.sha256(terms.encode())
+    for name in sorted(tensors):
+        digest.update(name.encode() + np.ascontiguousarray(tensors[name].numpy(), dtype="<f4").tobytes())
+    return digest.hexdigest()[:16]

@@ -3,16 +3,26 @@
 import pickle
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
-
-from eval.text_motion.guo.networks import GuoWidths
 
 VOCABULARY = (
     *("sos", "eos", "unk", "a", "person", "man", "walk", "slowly", "forward", "and", "turn", "left", "in", "circle"),
     *("foot", "chair", "is", "two", "arm", "then"),
 )
+
+
+class GuoWidths(NamedTuple):
+    """Widths of the networks; published are 512, 1024, 512, 512."""
+
+    movement: int
+    motion: int
+    text: int
+    shared: int
+
+
 # The std of the seven blocks and the root's mean height in the published statistics.
 T2M = ((5.1467e-4, 6.7693e-4, 6.1208e-3, 0.122555, 0.300386, 0.0195406, 0.0140949), 0.91752)
 PLAIN = ((0.012866, 0.016923, 0.153022, 0.122555, 0.300386, 0.0195406, 0.352374), 0.93855)

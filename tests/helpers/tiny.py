@@ -7,8 +7,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from eval.native_evaluator.settings import NativeConfig, NativeNetworkConfig, NativeTrainingConfig
-from eval.native_evaluator.stage import STAGE as EVALUATOR
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
@@ -87,16 +85,7 @@ NERM = NermConfig(
         ],
     ),
 )
-NATIVE = NativeConfig(
-    network=NativeNetworkConfig(convolution=16, recurrent=8, embedding=12, shared=5, text_hidden=8),
-    training=NativeTrainingConfig(
-        steps=STEPS, batch_size=12, framerates=(20.0, 60.0), max_poses=24, statistics_batches=2, text_encoder=""
-    ),
-)
-STAGES: dict[str, tuple[Stage[Any], Any]] = {
-    stage.name: (stage, config)
-    for stage, config in ((CODEBOOK, NERM), (FIELD, NERM), (DENOISER, NERM), (EVALUATOR, NATIVE))
-}
+STAGES: dict[str, tuple[Stage[Any], Any]] = {stage.name: (stage, NERM) for stage in (CODEBOOK, FIELD, DENOISER)}
 
 
 def write_store(path: Path) -> Path:

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eval.text_motion.guo import evaluator
-from eval.text_motion.guo.networks import GuoWidths
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
@@ -18,7 +16,7 @@ from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.io.humanml3d import recover_positions
 from motionkit.store.writer import StoreWriter
-from tests.helpers.published_guo import write_archive, write_glove
+from tests.helpers.published_guo import GuoWidths, write_archive, write_glove
 
 SMALL = GuoWidths(movement=6, motion=5, text=4, shared=8)
 CLIPS = ("--clips", 64, "--replications", 1, "--sizes", "16:16")
@@ -50,12 +48,6 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_archive(tmp_path_factory.mktemp("published") / "t2m", SMALL)
-
-
-@pytest.fixture(autouse=True)
-def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    loads = evaluator.load_guo
-    monkeypatch.setattr(evaluator, "load_guo", lambda files: loads(files, SMALL))
 
 
 def block(outcome: Any, title: str = "") -> dict[str, Any]:

@@ -11,14 +11,12 @@ import numpy as np
 import pytest
 
 from eval.tables.nerm import table1
-from eval.text_motion.guo import evaluator
-from eval.text_motion.guo.networks import GuoWidths
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process, standard_bone_lengths
 from motionkit.generate.models import GenerationRequest
 from motionkit.io.humanml3d import KIT
-from tests.helpers.published_guo import write_archive, write_glove
+from tests.helpers.published_guo import GuoWidths, write_archive, write_glove
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 
 TAKES, FPS = 40, Fraction(25, 2)
@@ -76,12 +74,6 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[object, ...]:
     folder = tmp_path_factory.mktemp("published")
     weights = write_archive(folder / "kit", SMALL, num_inputs=247)
     return ("--evaluator", "guo", "--weights", weights, "--glove", write_glove(folder / "glove"))
-
-
-@pytest.fixture(autouse=True)
-def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
-    loads = evaluator.load_guo
-    monkeypatch.setattr(evaluator, "load_guo", lambda files: loads(files, SMALL))
 
 
 def rows_of(outcome: Any, title: str = "Table 1: guo") -> dict[str, dict[str, Any]]:
@@ -150,7 +142,7 @@ def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
 
     trained_run(tmp_path / "runs" / "nano")
     install_models(monkeypatch, lambda run: ScriptedModel(listens, 20.0))
-    monkeypatch.setattr(table1, "_native", lambda request: Lengths())
+    monkeypatch.setattr(table1, "load_evaluator", lambda run, stage: Lengths())
     both = motionkit(
         *table, "--evaluator", "native,guo", "--fps", 12.5, "--motions", 32, "--runs", tmp_path / "runs", "--json"
     )

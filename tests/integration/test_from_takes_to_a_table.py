@@ -22,8 +22,8 @@ TINY = {
         *("field.decoder.width=16", "field.decoder.num_layers=2", "field.contact_steps=4"),
         "denoiser.schedule.steps=4",
         *("denoiser.schedule.batch_size=4", "denoiser.network.num_layers=1", "denoiser.network.width=16"),
-        *("denoiser.network.ffn_width=16", "training.steps=4", "training.batch_size=4"),
-        *("training.framerates=20,60", "training.statistics_batches=2", "training.text_encoder=none"),
+        *("denoiser.network.ffn_width=16", "schedule.steps=4", "schedule.batch_size=4"),
+        *("training.framerates=20,60", "training.statistics_batches=2"),
     ),
 }
 SMALL = {"eval": "--fps 20,60 --clips 64 --replications 2 --motions 4", "generate": "-n 1 --seconds 1"}

@@ -12,8 +12,8 @@ from threadpoolctl import threadpool_limits
 from eval.metrics.distributions import fit_gaussian, frechet_distance
 from eval.metrics.metric import find_metric
 from eval.metrics.number import Number, Scores, over_replications
-from eval.metrics.retrieval import RECALL_RANKS, pool_distances, ranked_both_ways
-from eval.native_evaluator.evaluator import NativeTextMotion, load_native, load_tmr
+from eval.metrics.retrieval import RECALL_RANKS
+from eval.native_evaluator.evaluator import load_evaluator
 from eval.report.results import (
     DRAWING,
     Block,
@@ -32,23 +32,28 @@ from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, refusal
 from eval.sets.sets import REAL, RowId, SampleSet, check_sample_names, middle, size_remarks
 from eval.tables.systems import Trained, TrainedModel, trained_models
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
-from eval.text_motion.embedding_cache import FOLDER, Embedder, fingerprint_of_vectors
-from eval.text_motion.evaluator import PoseVectorEvaluator, TextMotionEvaluator
-from eval.text_motion.guo.evaluator import load_guo
-from eval.text_motion.model_motions import ModelMotions
+from eval.text_motion.embedder import FOLDER, Embedder, PoseVectorEvaluator, TextMotionEvaluator, fingerprint_of
+from eval.text_motion.guo import load_guo
 from eval.text_motion.motion_clip import load_motion_clip
-from eval.text_motion.pairs import PairTerms, TextMotionPairs
-from eval.text_motion.protocol import RetrievalRule, TextMotionProtocol, find_text_motion_protocol
-from eval.text_motion.real_pairs import (
+from eval.text_motion.motions import (
     MADE_OF_22,
     CaptionedMotions,
+    ModelMotions,
     as_kit_joints,
     captioned_motions,
     kit_bone_lengths,
-    limited,
 )
-from eval.text_motion.retrieval import SUFFIXES, no_distance, score_retrieval, share_of_same_texts
-from eval.text_motion.scores import PAIR_SCORES, score_text_motion
+from eval.text_motion.protocol import RetrievalRule, TextMotionProtocol, find_text_motion_protocol
+from eval.text_motion.scores import (
+    PAIR_SCORES,
+    SUFFIXES,
+    PairTerms,
+    TextMotionPairs,
+    no_distance,
+    score_retrieval,
+    score_text_motion,
+    share_of_same_texts,
+)
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.progress import task
@@ -98,7 +103,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
         check_sample_names(config.samples, models)
         for each in models.values():
             longest = each.loaded.max_duration_seconds
-            lengths, kit_lengths = (limited(rule, longest) for rule in (protocol.lengths, protocol.kit_lengths))
+            lengths, kit_lengths = (rule.limited(longest) for rule in (protocol.lengths, protocol.kit_lengths))
             protocol = replace(protocol, lengths=lengths, kit_lengths=kit_lengths)
     every = [_OneEvaluator(config, protocol, evaluator, store) for evaluator in evaluators]
     blocks: list[Block] = []
@@ -170,10 +175,10 @@ def _evaluator(name: str, config: EvalConfig) -> TextMotionEvaluator:
         if config.motion_clip is None:
             raise UsageError("--evaluator motion-clip needs its folder: --motion-clip DIR (docs/evaluators.md)")
         return load_motion_clip(config.motion_clip)
+    stage = "evaluator" if name == "native" else name
     if config.run is None:
-        stage = "evaluator" if name == "native" else name
         raise MotionkitError(f"it belongs to a run, and none was given (motionkit train --stage {stage})")
-    return NativeTextMotion(load_native(config.run)) if name == "native" else load_tmr(config.run)
+    return load_evaluator(config.run, stage)
 
 
 def _models(config: EvalConfig) -> dict[str, TrainedModel]:
@@ -403,7 +408,7 @@ def _embedded(
                 folder.vectors, lengths, folder.sequences.num_frames.tolist(), strict=True
             )
         ]
-        key = {"vectors": fingerprint_of_vectors(vectors), "lengths": lengths}
+        key = {"vectors": fingerprint_of(vectors), "lengths": lengths}
         return embedder.kept(key, len(vectors), lambda: evaluator.embed_vectors(vectors, lengths)), AS_VECTORS
     kit_lengths = kit_bone_lengths(real)
     if kit_lengths is None:
@@ -523,12 +528,7 @@ def _oracle(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> d
     terms = PairTerms([own])
     for replication in range(protocol.replications):
         order = np.random.default_rng((seed, replication, 5)).permutation(len(own.texts))
-        distances = pool_distances(own.texts, own.texts, order, protocol.pool)
-        terms.of_draw(0)(distances, order)
-        both = ranked_both_ways(distances)
-        for suffix, direction in (("", both.text_asks), ("_motion_asks", both.motion_asks)):
-            for rank, share in enumerate(direction.top.tolist(), start=1):
-                scores.add(f"r_precision_top{rank}{suffix}", share)
+        terms.add(0, order, protocol.pool, scores)
     scores.resampled |= terms.resampled_means()
     return {name: _score_cell(score) for name, score in scores.values.items()}
 

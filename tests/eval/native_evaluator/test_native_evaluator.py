@@ -1,26 +1,32 @@
-"""The native-rate evaluator from store to embeddings: one small training, and what must hold of its numbers."""
+"""The native text–motion evaluator from store to embeddings: small trainings, and what must hold of its numbers."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from eval.native_evaluator import evaluator as native_module
-from eval.native_evaluator.evaluator import NativeEvaluator, NativeTextMotion, load_native
-from eval.native_evaluator.settings import NativeConfig, NativeNetworkConfig, NativeTrainingConfig
-from eval.native_evaluator.stage import train_evaluator
+from eval.metrics.retrieval import retrieval
+from eval.native_evaluator.evaluator import NUM_CHANNELS, NativeEvaluator, load_evaluator, motion_input
+from eval.native_evaluator.stage import EvaluatorConfig, NetworkConfig, TrainingConfig, native, tmr
+from eval.native_evaluator.training import build_bank, matching_loss, train_evaluator
 from eval.sets.damage import translate, turn
-from eval.sets.sets import sample_set
-from eval.text_motion.evaluator import TextMotionEvaluator
-from motionkit.core.errors import MotionkitError
+from eval.sets.sets import Ragged, sample_set
+from eval.text_motion.embedder import TextMotionEvaluator
+from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
+from motionkit.training.config import apply_overrides
+from motionkit.training.loop import CheckpointError, Learner, load_tensors, save_tensors
 from motionkit.training.run import RunError, RunFolder, StageContext
 
 SENTENCE_SIZE = 6
@@ -47,156 +53,204 @@ def swinging(num_frames: int, fps: int, seed: int) -> np.ndarray:
     return forward_kinematics(rotations, root, SMPL22)
 
 
-def motion(index: int, fps: int, split: str = "train") -> Motion:
-    positions = swinging(2 * fps, fps, index)
-    captions = (Caption(f"somebody does number {index % 3}"),)
-    grid = TimeGrid(Fraction(fps), len(positions))
-    return Motion(positions, SMPL22, grid, captions=captions, sequence_id=f"take-{index}", split=split)
+KINDS = 12
+OVERRIDES = [
+    "schedule.steps=60",
+    "schedule.batch_size=48",
+    "training.framerates=20,60",
+    "training.max_seconds=2",
+    "training.max_poses=40",
+    "training.statistics_batches=2",
+]
+CONFIGS = {
+    "evaluator": apply_overrides(native("nano"), OVERRIDES),
+    "tmr": apply_overrides(tmr("nano"), [*OVERRIDES, "training.same_above=0.99"]),
+}
+TINY = EvaluatorConfig(NetworkConfig(convolution=16, recurrent=8, shared=5, text_hidden=8))
+TINY = apply_overrides(TINY, [*OVERRIDES, "schedule.steps=5", "schedule.batch_size=12"])
 
 
-TINY = NativeConfig(
-    network=NativeNetworkConfig(convolution=16, recurrent=8, embedding=12, shared=5, text_hidden=8),
-    training=NativeTrainingConfig(
-        steps=5,
-        batch_size=12,
-        framerates=(20.0, 60.0),
-        max_poses=24,
-        statistics_batches=2,
-        text_encoder="minilm",
-    ),
-)
+def captioned(kind: int, fps: int, take: int = 0, split: str = "train") -> Motion:
+    """Two seconds of a way to swing, which the caption names."""
+    noise = 0.002 * np.random.default_rng(take).normal(size=(2 * fps, 22, 3))
+    positions = (swinging(2 * fps, fps, kind) + noise).astype(np.float32)
+    captions = (Caption(f"kind {kind}"),)
+    name = f"take-{kind}-{take}"
+    return Motion(positions, SMPL22, TimeGrid(Fraction(fps), 2 * fps), captions=captions, sequence_id=name, split=split)
 
 
-def train(store: Path, run: Path, *, seed: int = 0, resume: bool = False, config: NativeConfig = TINY) -> None:
+def write(path: Path, motions: Sequence[Motion]) -> Path:
+    with StoreWriter.create(path) as writer:
+        for motion in motions:
+            writer.add(motion)
+    return path
+
+
+def train(store: Path, run: Path, config: EvaluatorConfig, stage: str = "evaluator", resume: bool = False) -> None:
+    train_evaluator(stage, StageContext(store, RunFolder(run), "tiny", resume=resume, device="cpu"), config)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_weights() -> Iterator[None]:
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("motionkit.training.text.load_text_encoder", lambda name: HashEncoder())
-        context = StageContext(store, RunFolder(run), "tiny", seed=seed, resume=resume, device="cpu")
-        train_evaluator(context, config)
+        for module in ("eval.native_evaluator.training", "motionkit.training.text"):
+            patch.setattr(f"{module}.load_text_encoder", lambda name: HashEncoder())
+        yield
+    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("evaluator") / "store"
-    with StoreWriter.create(path) as writer:
-        for index, fps in enumerate((120, 60, 60, 30, 24, 60)):
-            writer.add(motion(index, fps, split="test" if index == 5 else "train"))
-    return path
+    kinds = [captioned(kind, (20, 60)[take % 2], take) for take in range(4) for kind in range(KINDS)]
+    return write(tmp_path_factory.mktemp("evaluator") / "store", [*kinds, captioned(0, 60, 9, split="test")])
 
 
-@pytest.fixture(scope="module")
-def run(store: Path) -> Path:
-    folder = store.parent / "run"
-    train(store, folder)
-    return folder
+@pytest.fixture(scope="module", params=CONFIGS)
+def evaluator(request: pytest.FixtureRequest, store: Path) -> NativeEvaluator:
+    run = store.parent / "run"
+    train(store, run, CONFIGS[request.param], request.param)
+    return load_evaluator(run, request.param)
 
 
-@pytest.fixture
-def evaluator(run: Path, monkeypatch: pytest.MonkeyPatch) -> NativeEvaluator:
-    monkeypatch.setattr(native_module, "load_text_encoder", lambda name: HashEncoder())
-    return load_native(run)
+def test_it_finds_the_motions_of_captions(evaluator: NativeEvaluator) -> None:
+    takes = [captioned(kind, 20, 100) for kind in range(KINDS)]
+    samples = sample_set("held out", Fraction(20), [each.joint_positions for each in takes], list("abcdefghijkl"))
+    motions, texts = evaluator.embed_motions(samples), evaluator.embed_texts([each.captions[0] for each in takes])
+    assert retrieval(np.linalg.norm(texts[:, None] - motions[None], axis=-1)).recall[0] > 0.7
+    assert isinstance(evaluator, TextMotionEvaluator) and evaluator.layout == "smpl22"
+    if evaluator.stage == "tmr":
+        assert (evaluator.name, evaluator.pair_score) == ("tmr", "tmr_score")
+        np.testing.assert_allclose(np.linalg.norm([*motions, *texts], axis=1), 1.0, atol=1e-6)
+    else:
+        assert (evaluator.name, evaluator.pair_score) == ("native", "")
 
 
-@pytest.fixture(scope="module")
-def clips() -> np.ndarray:
-    return np.stack([swinging(24, 60, seed) for seed in range(300)])
-
-
-def test_embeddings_depend_on_motion_and_framerate_alone(evaluator: NativeEvaluator, clips: np.ndarray) -> None:
-    together = evaluator.embed_motions(clips, Fraction(60))
-    order = np.random.default_rng(0).permutation(len(clips))
-    assert together.shape == (300, 5) and together.dtype == np.float64
-    assert np.allclose(evaluator.embed_motions(clips[order], Fraction(60)), together[order], atol=1e-6)
-    assert np.allclose(evaluator.embed_motions(clips[:1], Fraction(60)), together[:1], atol=1e-6)
-    assert evaluator.embed_motions(clips[:0], Fraction(60)).shape == (0, 5)
-    rng = np.random.default_rng(1)
-    exact = clips[:40].astype(np.float64)
-    moved = translate(turn(exact, rng.uniform(-3, 3, 40)), rng.uniform(-100, 100, (40, 2)))
-    plain = evaluator.embed_motions(exact, Fraction(60))
-    assert np.allclose(evaluator.embed_motions(moved, Fraction(60)), plain, atol=2e-4 * np.abs(plain).max())
-    assert np.abs(together - evaluator.embed_motions(clips, Fraction(61))).max() > 1e-4
-    assert np.isfinite(evaluator.embed_motions(np.zeros((2, 8, 22, 3)), Fraction(120))).all()
-
-
-@pytest.mark.parametrize("shape", [(3, 16, 21, 3), (3, 7, 22, 3)])
-def test_wrong_shapes_are_refused(evaluator: NativeEvaluator, shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match=r"clips have (21 joints|7 poses)"):
-        evaluator.embed_motions(np.zeros(shape), Fraction(60))
-
-
-def test_whole_motions_come_in_the_order_of_the_set(evaluator: NativeEvaluator, clips: np.ndarray) -> None:
-    whole = NativeTextMotion(evaluator)
-    assert isinstance(whole, TextMotionEvaluator) and (whole.name, whole.fps, whole.pair_score) == ("native", None, "")
-    lengths = (24, 12, 24, 9, 12)
-    samples = sample_set(
-        "some", Fraction(60), [clip[:n] for clip, n in zip(clips, lengths, strict=False)], [f"m{n}" for n in range(5)]
+def test_embeddings_are_each_motions_own(evaluator: NativeEvaluator) -> None:
+    clips = [swinging(frames, 60, seed) for seed, frames in enumerate((24, 12, 24, 9, 12))]
+    samples = sample_set("some", Fraction(60), clips, list("abcde"))
+    together = evaluator.embed_motions(samples)
+    alone = np.concatenate([evaluator.embed_motions(samples.select([index])) for index in range(5)])
+    np.testing.assert_allclose(together, alone, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(evaluator.embed_clips(clips[0][None], Fraction(60)), together[:1], rtol=1e-4, atol=1e-5)
+    assert np.isfinite(evaluator.embed_clips(np.zeros((2, 8, 22, 3)), Fraction(120))).all()
+    assert evaluator.remark_at(Fraction(60)) == "" and f"--stage {evaluator.stage}" in evaluator.remark_at(
+        Fraction(120)
     )
-    together = whole.embed_motions(samples)
-    alone = np.concatenate([whole.embed_motions(samples.select([index])) for index in range(5)])
-    np.testing.assert_allclose(together, alone, rtol=1e-5, atol=1e-6)
-    assert whole.remark_at(Fraction(20)) == "" == whole.remark_at(Fraction(60))
-    assert "10 fps" in whole.remark_at(Fraction(10))
-    with pytest.raises(MotionkitError, match="'m1' has 7 poses"):
-        whole.embed_motions(sample_set("short", Fraction(60), [clips[0], clips[1][:7]], ["m0", "m1"]))
+    with pytest.raises(MotionkitError, match="'b' has 7 poses"):
+        evaluator.embed_motions(sample_set("short", Fraction(60), [clips[0], clips[1][:7]], ["a", "b"]))
 
 
-def test_sentences_and_motions_share_a_space(evaluator: NativeEvaluator) -> None:
-    sentences = evaluator.embed_texts(["somebody does number 1", "somebody does number 2"])
-    assert sentences.shape == (2, 5)
-    assert np.allclose(evaluator.embed_texts(["somebody does number 2"])[0], sentences[1], rtol=0, atol=1e-6)
-
-
-def test_what_it_was_trained_on_travels_with_it(evaluator: NativeEvaluator, store: Path, run: Path) -> None:
+def test_what_it_was_trained_on_travels_with_it(evaluator: NativeEvaluator, store: Path) -> None:
     assert evaluator.description["store_fingerprint"] == Store.open(store).fingerprint
     assert evaluator.description["framerates"] == ["20", "60"]
-    summary = RunFolder(run).stage("evaluator").read_summary()
-    assert summary["sequences"] == 5 and summary["sentences"] == 3
+    summary = RunFolder(store.parent / "run").stage(evaluator.stage).read_summary()
+    assert (summary["sequences"], summary["sentences"], summary["steps"]) == (4 * KINDS, KINDS, 60)
 
 
-def test_another_text_encoder_is_refused(evaluator: NativeEvaluator, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(HashEncoder, "fingerprint", "0" * 64)
-    with pytest.raises(MotionkitError, match="is not the one"):
-        evaluator.embed_texts(["walk"])
+@given(yaw=st.floats(-3.1, 3.1), x=st.floats(-50, 50), z=st.floats(-50, 50), fps=st.sampled_from([20.0, 120.0]))
+@settings(max_examples=20)
+def test_input_ignores_where_and_which_way(yaw: float, x: float, z: float, fps: float) -> None:
+    clips = swinging(24, int(fps), 1)[None].astype(np.float64)
+    moved = translate(turn(clips, yaw), np.array([[x, z]]))
+    assert np.allclose(motion_input(moved, fps), motion_input(clips, fps), atol=1e-5)
 
 
-def test_training_is_deterministic_by_seed_and_resumes_exactly(
-    store: Path, evaluator: NativeEvaluator, tmp_path: Path
-) -> None:
-    train(store, tmp_path / "again")
-    assert load_native(tmp_path / "again").fingerprint == evaluator.fingerprint
-    train(store, tmp_path / "other", seed=1)
-    assert load_native(tmp_path / "other").fingerprint != evaluator.fingerprint
+def test_input_means_the_same_at_every_framerate() -> None:
+    slow, fast = (motion_input(swinging(fps, fps, 2)[None], float(fps)).numpy() for fps in (60, 120))
+    assert slow.shape == (1, 60, NUM_CHANNELS)
+    assert np.allclose(fast[:, ::2, -1] - slow[..., -1], np.log(2.0))
+    # Forward differences of the slower clip look further ahead: they agree to first order.
+    assert np.abs(slow[:, :-1, :64] - fast[:, :-2:2, :64]).max() < 1e-5
+    assert np.abs(slow[:, :-1, 64:-1] - fast[:, :-2:2, 64:-1]).max() < 0.2
 
-    stopped = tmp_path / "stopped"
-    calls = 0
 
-    def interrupted(step: int, *_: object) -> None:
-        nonlocal calls
-        calls += 1
-        if calls == 3:
+def test_a_glitch_is_held_within_five_deviations(evaluator: NativeEvaluator) -> None:
+    glitched = swinging(32, 60, 0)[None].copy()
+    glitched[0, 16, 20] += 3000.0
+    assert evaluator.network.standardised(motion_input(glitched, 60.0)).abs().max() == 5.0
+
+
+def test_a_bank_holds_what_sentences_describe_of_sequences_that_reach_its_framerate() -> None:
+    line = np.arange(120, dtype=np.float32)[:, None, None] * np.ones((1, 22, 3), dtype=np.float32)
+    captions = [
+        [Caption("whole"), Caption("all of it"), Caption("its second second", 1.0, 2.0)],
+        [Caption("too slow")],
+        [Caption("  ")],
+        [Caption("a moment", 0.0, 0.1)],
+    ]
+    row_of: dict[str, int] = {}
+    rates = [Fraction(60), Fraction(20), Fraction(60), Fraction(60)]
+    rng = np.random.default_rng(0)
+    bank = build_bank(Ragged.of([line] * 4), rates, captions, Fraction(60), 1e9, rng, row_of)
+    assert bank is not None
+    assert bank.motions.num_frames.tolist() == [120, 60] and list(row_of) == ["whole", "all of it", "its second second"]
+    clips, sentences = bank.draw(rng, 300, 30)
+    first = clips[:, 0, 0, 0]
+    assert np.all(np.diff(clips[..., 0, 0], axis=1) == 1) and set(sentences) == {0, 1, 2}
+    assert first.min() < 5 and first.max() == 90 and first[sentences == 2].min() == 60
+    assert bank.draw(rng, 5, 500)[0].shape[1] == 120
+    assert build_bank(Ragged.of([line] * 4), rates, captions, Fraction(120), 1e9, rng, row_of) is None
+    some = build_bank(Ragged.of([line] * 4), rates, [captions[0]] * 4, Fraction(60), 4.0, rng, row_of)
+    assert some is not None and len(some.motions) == 4  # two sequences, of 3 described seconds each
+
+
+@pytest.mark.parametrize("unit_length", [False, True])
+def test_the_loss_leaves_out_pairs_of_one_sentence(unit_length: bool) -> None:
+    rng = torch.Generator().manual_seed(0)
+    motions, texts = torch.randn(4, 3, generator=rng), torch.randn(4, 3, generator=rng)
+    if unit_length:
+        motions, texts = (rows / rows.norm(dim=1, keepdim=True) for rows in (motions, texts))
+    sentences = torch.tensor([[1.0, 0.0], [1.0, 0.1], [0.0, 1.0], [-1.0, 0.2]])
+    distances = ((texts[:, None] - motions[None]) ** 2).sum(-1).numpy()
+    # Of unit vectors, −d²/2 is the cosine less 1 (TMR).
+    logits = ((texts @ motions.T).numpy() - 1 if unit_length else -distances / 2) / 0.5
+    total = 0.0
+    for own in range(4):
+        others = [k for k in range(4) if {own, k} != {0, 1} or k == own]
+        total += np.log(np.exp(logits[own, others]).sum()) + np.log(np.exp(logits[others, own]).sum())
+        total -= 2 * logits[own, own]
+    assert float(matching_loss(motions, texts, sentences, 0.5, 0.9)) == pytest.approx(total / 8, rel=1e-5)
+
+
+def test_training_resumes_exactly(store: Path, tmp_path: Path) -> None:
+    train(store, tmp_path / "whole", TINY)
+    descend = Learner.descend
+
+    def interrupted(self: Learner, loss: torch.Tensor, step: int, *more: float) -> None:
+        if step == 3:
             raise KeyboardInterrupt
+        descend(self, loss, step, *more)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("eval.native_evaluator.training.set_rate", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            train(store, stopped)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Learner, "descend", interrupted)
+        train(store, tmp_path / "stopped", TINY)
     with pytest.raises(RunError, match="not trained"):
-        load_native(stopped)
-    train(store, stopped, resume=True)
-    assert load_native(stopped).fingerprint == evaluator.fingerprint
+        load_evaluator(tmp_path / "stopped")
+    train(store, tmp_path / "stopped", TINY, resume=True)
+    assert load_evaluator(tmp_path / "stopped").fingerprint == load_evaluator(tmp_path / "whole").fingerprint
 
 
-def test_a_store_without_captions_gives_an_evaluator_without_sentences(tmp_path: Path) -> None:
-    with StoreWriter.create(tmp_path / "store") as writer:
-        mute = motion(0, 60)
-        writer.add(Motion(mute.joint_positions, SMPL22, mute.timegrid, sequence_id="mute"))
-    train(tmp_path / "store", tmp_path / "run")
-    trained = load_native(tmp_path / "run")
-    assert np.isfinite(trained.embed_motions(np.zeros((1, 16, 22, 3)), Fraction(60))).all()
-    with pytest.raises(MotionkitError, match="without captions"):
-        trained.embed_texts(["walk"])
-
-
-@pytest.mark.parametrize("field", [{"min_poses": 6}, {"max_poses": 30}, {"clean_fraction": 1.0}])
-def test_settings_that_make_no_sense_are_refused(field: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=r"min_poses|clean_fraction"):
-        NativeTrainingConfig(**field)  # type: ignore[arg-type]
+def test_what_cannot_be_trained_or_read_is_reported(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mute = replace(captioned(0, 60), captions=())
+    with pytest.warns(match="no captions"):
+        train(write(tmp_path / "mute", [mute]), tmp_path / "run", TINY)
+    with pytest.raises(RunError, match="without captions"):
+        load_evaluator(tmp_path / "run")
+    with pytest.raises(UsageError, match="--set training"):
+        train(store, tmp_path / "fast", apply_overrides(TINY, ["training.framerates=240"]))
+    with pytest.raises(ValueError, match="min_seconds"):
+        TrainingConfig(min_seconds=3.0, max_seconds=2.0)
+    train(store, tmp_path / "old", apply_overrides(TINY, ["schedule.steps=1"]))
+    monkeypatch.setattr(HashEncoder, "fingerprint", "0" * 64)
+    with pytest.raises(RunError, match="is not the one"):
+        load_evaluator(tmp_path / "old").embed_texts([Caption("walk")])
+    path = RunFolder(tmp_path / "old").stage("evaluator").model_path
+    path.with_name("SHA256SUMS").unlink()
+    tensors, header = load_tensors(path)
+    save_tensors(path, tensors, header | {"version": "native/2"})
+    with pytest.raises(CheckpointError, match="motionkit train --stage evaluator"):
+        load_evaluator(tmp_path / "old")

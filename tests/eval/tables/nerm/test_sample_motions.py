@@ -11,9 +11,9 @@ from eval.sample_folder import SampleFolder
 from eval.sample_folder.folder import SampleFolderError
 from eval.sets.sets import Ragged, SampleSet, sample_set
 from eval.tables.nerm.table1 import AS_VECTORS, BY_JOINTS, sample_embeddings
-from eval.text_motion.embedding_cache import Embedder
+from eval.text_motion.embedder import Embedder
+from eval.text_motion.motions import CaptionedMotions
 from eval.text_motion.protocol import find_text_motion_protocol
-from eval.text_motion.real_pairs import CaptionedMotions
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
 

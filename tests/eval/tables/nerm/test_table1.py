@@ -16,7 +16,7 @@ from eval.sets.motions import NoRealMotionError
 from eval.sets.sets import SampleSet
 from eval.tables.nerm import table1
 from eval.tables.nerm.table1 import FLOOR, ORACLE, title_of
-from eval.text_motion.guo.kind import GuoFiles
+from eval.text_motion.guo import GuoFiles
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
@@ -245,8 +245,7 @@ def test_what_there_is_not_is_named(store: Path, tmp_path: Path, run: Path, mode
 def test_requests_that_mean_nothing(
     changes: dict[str, object], message: str, store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(table1, "load_native", lambda run: Shapes())
-    monkeypatch.setattr(table1, "NativeTextMotion", lambda loaded: loaded)
+    monkeypatch.setattr(table1, "load_evaluator", lambda run, stage: Shapes())
     with pytest.raises(UsageError, match=message):
         build(store, tmp_path / "results", tmp_path / "run", **changes)
 

@@ -16,7 +16,7 @@ from eval.report.render import to_markdown
 from eval.report.results import Result, read_result, write_result
 from eval.sets.sets import sample_set
 from eval.tables.nerm import table3
-from eval.text_motion.guo.kind import GuoFiles
+from eval.text_motion.guo import GuoFiles
 from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from eval.sets.motions import NoRealMotionError
+from eval.text_motion.motions import captioned_motions
 from eval.text_motion.protocol import LengthRule, find_text_motion_protocol
-from eval.text_motion.real_pairs import captioned_motions, limited
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
@@ -47,7 +47,9 @@ def test_each_motion_is_the_stretch_of_its_first_caption(store: Store) -> None:
     spans = [(round(float(root[0]), 3), round(float(root[-1]), 3)) for root in roots]
     # [1, 3) s holds the poses at 1.00 … 2.95; the middle 3 s of 7 are 2 … 5.
     assert spans == [(0.0, 2.0), (2.0, 5.0), (1.0, 2.95), (2.0, 4.0)]
-    assert found.durations_seconds == pytest.approx([2.0, 3.0, 1.95, 2.0])
+    requests = found.requests()
+    assert [each.duration_seconds for each in requests] == pytest.approx([2.0, 3.0, 1.95, 2.0])
+    assert [each.text for each in requests] == ["walks", "runs", "jumps", "sits"]
     assert found.num_cropped == 1
     assert found.left_out == {"captured below 20 fps": 1, "shorter than 1 s": 1, "without a caption": 1}
     assert found.known_captions["goes"].tokens == "go/VERB"
@@ -58,9 +60,9 @@ def test_each_motion_is_the_stretch_of_its_first_caption(store: Store) -> None:
 
 def test_a_model_that_makes_less_shortens_the_real_motions() -> None:
     published = LengthRule(2.0, 10.0, "left out")
-    assert limited(published, 10.0) is published
-    assert limited(published, 4.0) == LengthRule(2.0, 4.0, "cropped")
-    assert limited(published, 1.5) == LengthRule(1.5, 1.5, "cropped")
+    assert published.limited(10.0) is published
+    assert published.limited(4.0) == LengthRule(2.0, 4.0, "cropped")
+    assert published.limited(1.5) == LengthRule(1.5, 1.5, "cropped")
 
 
 def test_published_lengths_are_those_of_the_loaders_at_either_framerate() -> None:

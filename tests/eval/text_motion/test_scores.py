@@ -1,6 +1,7 @@
-"""Every protocol against a plain implementation with its settings written out again; what it tells or refuses."""
+"""Every protocol against a plain implementation with its settings written out again; intervals; retrieval's rules."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,9 +10,19 @@ from hypothesis import strategies as st
 
 from eval.metrics.metric import find_metric
 from eval.metrics.number import Scores
-from eval.text_motion.pairs import TextMotionPairs
-from eval.text_motion.protocol import TEXT_MOTION_PROTOCOLS, MultiModalityRule, find_text_motion_protocol
-from eval.text_motion.scores import score_text_motion
+from eval.text_motion.protocol import (
+    TEXT_MOTION_PROTOCOLS,
+    RetrievalRule,
+    TextMotionProtocol,
+    find_text_motion_protocol,
+)
+from eval.text_motion.scores import (
+    TextMotionPairs,
+    no_distance,
+    score_retrieval,
+    score_text_motion,
+    share_of_same_texts,
+)
 from motionkit.core.errors import UsageError
 
 SEED, FEATURES = 11, 5
@@ -111,7 +122,7 @@ def plain_scores(
 
 
 @pytest.mark.parametrize("protocol", TEXT_MOTION_PROTOCOLS, ids=lambda protocol: protocol.name)
-def test_each_protocol_is_what_its_publication_computes(protocol) -> None:  # type: ignore[no-untyped-def]
+def test_each_protocol_is_what_its_publication_computes(protocol: TextMotionProtocol) -> None:
     plain = PLAIN[protocol.name]
     number = 1100 if plain.counted else 150
     real, draws = make_pairs(number, 0), [make_pairs(number, 1, 1.5), make_pairs(number, 2, 2.0)]
@@ -155,44 +166,134 @@ def test_real_motion_scored_against_itself_has_no_distance_where_it_is_paired(se
     assert (again.values["fid"].value > 1e-6) == (dropped > 0)
 
 
-def test_a_different_number_of_motions_is_refused_or_reported() -> None:
-    real, fewer = make_pairs(96, 0), make_pairs(64, 1)
-    with pytest.raises(ValueError, match="64 generated and 96 real motions: give those that belong together"):
-        score_text_motion(real, [fewer], find_text_motion_protocol("mld"), 0)
-    redrawn = replace(find_text_motion_protocol("mdm"), replications=1)
-    told = score_text_motion(real, [fewer], redrawn, 0)
-    assert any("counts 1,024 generated motions, here are 64" in remark for remark in told.remarks)
-    assert told.sizes == {"real": 96, "generated": 64, "draws": 1}
+NATIVE = replace(find_text_motion_protocol("native"), replications=3)
 
 
 def test_what_the_data_cannot_give_is_reported() -> None:
-    remarks = score(repeated=np.zeros((3, 12, FEATURES))).remarks
-    assert any("10 pairs need 20 motions of each text, there are 12" in remark for remark in remarks)
-    assert any("Diversity pairs 96 motions, not 300" in remark for remark in remarks)
-    assert any("there is one set of motions" in remark for remark in remarks)
+    few = score(repeated=np.zeros((3, 12, FEATURES)))
+    assert any("10 pairs need 20 motions" in remark for remark in few.remarks)
+    assert any("Diversity pairs 96 motions" in remark for remark in few.remarks)
+    assert any("there is one set of motions" in remark for remark in few.remarks)
     some = score(repeated=np.random.default_rng(0).normal(size=(3, 20, FEATURES)))
-    assert any("asks 30 motions of 100 texts for MultiModality; here are 20 motions of 3" in r for r in some.remarks)
+    assert any("30 motions of 100 texts" in remark for remark in some.remarks)
     assert "multimodality" in some.values and "multimodality" not in score().values
+    fewer = score_text_motion(make_pairs(96, 0), [make_pairs(64, 1)], find_text_motion_protocol("mdm"), 0)
+    assert any("counts 1,024 generated motions, here are 64" in remark for remark in fewer.remarks)
+    assert fewer.sizes == {"real": 96, "generated": 64, "draws": 1}
     wide = TextMotionPairs(*np.random.default_rng(0).normal(size=(2, 40, 64)))
-    few = replace(find_text_motion_protocol("native"), replications=1)
-    assert any("N = 40 for 64 features" in remark for remark in score_text_motion(wide, [wide], few, 0).remarks)
+    assert any("N = 40 for 64 features" in remark for remark in score_text_motion(wide, [wide], NATIVE, 0).remarks)
 
 
-def test_refusals() -> None:
-    native = find_text_motion_protocol("native")
-    with pytest.raises(ValueError, match="no set of motions"):
-        score_text_motion(make_pairs(64, 0), [], native, 0)
-    with pytest.raises(ValueError, match="20 motions: a text chooses among 32"):
-        score_text_motion(make_pairs(20, 0), [make_pairs(20, 1)], native, 0)
-    broken = make_pairs(64, 1)
-    broken.motions[3] = np.nan
-    with pytest.raises(ValueError, match="finite"):
-        score_text_motion(make_pairs(64, 0), [broken], native, 0)
-    narrow = TextMotionPairs(np.zeros((64, 3)), np.zeros((64, 3)))
-    with pytest.raises(ValueError, match="real motions have 5 numbers, of generated ones 3"):
-        score_text_motion(make_pairs(64, 0), [narrow], native, 0)
-    with pytest.raises(UsageError, match="no text-to-motion protocol 'mmd': native, nerm, t2m"):
+BROKEN = TextMotionPairs(np.zeros((64, FEATURES)), np.full((64, FEATURES), np.nan))
+NARROW = TextMotionPairs(np.zeros((64, 3)), np.zeros((64, 3)))
+
+
+@pytest.mark.parametrize(
+    ("draws", "protocol", "message"),
+    [
+        ([], "native", "no set of motions"),
+        ([make_pairs(20, 1)], "native", "chooses among 32"),
+        ([BROKEN], "native", "finite"),
+        ([NARROW], "native", "5 numbers, of generated ones 3"),
+        ([make_pairs(96, 1)], "mld", "96 generated and 64 real motions"),
+    ],
+)
+def test_pairs_that_do_not_fit_are_refused(draws: list[TextMotionPairs], protocol: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        score_text_motion(make_pairs(64, 0), draws, find_text_motion_protocol(protocol), 0)
+
+
+def test_an_unknown_protocol_is_refused() -> None:
+    with pytest.raises(UsageError, match="native, nerm, t2m"):
         find_text_motion_protocol("mmd")
-    with pytest.raises(ValueError, match="do not fill a pool"):
-        replace(native, num_motions=31)
-    assert MultiModalityRule(pairs="distinct").metric == "multimodality"
+
+
+NUMBER = 128
+
+
+def of_takes(seed: int, noise: float, takes: tuple[str, ...] = ()) -> TextMotionPairs:
+    texts = np.random.default_rng(0).normal(size=(NUMBER, 6))
+    return TextMotionPairs(texts, texts + noise * np.random.default_rng((seed, 1)).normal(size=texts.shape), takes)
+
+
+def test_every_number_has_an_interval_over_takes() -> None:
+    repeated = np.random.default_rng(5).normal(size=(30, 20, 6))
+    found = score_text_motion(of_takes(1, 0.1), [of_takes(2, 0.6), of_takes(3, 0.6)], NATIVE, 0, repeated=repeated)
+    for name in ("r_precision_top1", "r_precision_top3_motion_asks", "mm_dist", "fid", "diversity", "multimodality"):
+        score = found.values[name]
+        assert len(score.resampled) == 200, name
+        assert score.value == np.mean(found.replications[name]), name
+        assert score.ci95 > score.drawing, name
+        told = [value for value in score.resampled if value is not None]
+        assert np.median(told) == pytest.approx(score.value, rel=0.35), name
+
+
+def test_the_interval_of_matching_distance_is_that_of_a_mean_over_takes() -> None:
+    motions = of_takes(2, 0.6)
+    score = score_text_motion(of_takes(1, 0.1), [motions], replace(NATIVE, replications=8), 0).values["mm_dist"]
+    distances = np.linalg.norm(motions.texts - motions.motions, axis=1)
+    assert score.ci95 == pytest.approx(1.96 * distances.std() / np.sqrt(NUMBER), rel=0.2)
+    # Four pairs of every take are a quarter of the takes.
+    grouped = replace(motions, takes=tuple(str(row // 4) for row in range(NUMBER)))
+    wider = score_text_motion(of_takes(1, 0.1), [grouped], NATIVE, 0).values["mm_dist"]
+    assert score.ci95 != wider.ci95
+    alone = replace(motions, takes=("one",) * NUMBER)
+    assert score_text_motion(of_takes(1, 0.1), [alone], NATIVE, 0).values["mm_dist"].resampled == ()
+
+
+RNG = np.random.default_rng(0)
+TEXTS = RNG.normal(size=(120, 40))
+TEXTS[60:] = TEXTS[:60]  # every text stands twice
+SENTENCES = TEXTS.astype(np.float32)
+MOTIONS = RNG.normal(size=(120, 40))
+REAL = TextMotionPairs(TEXTS, TEXTS + 0.01 * MOTIONS)
+ALL, SAME, FEW, POOLS = find_text_motion_protocol("tmr").retrieval
+(KIMODO,) = find_text_motion_protocol("kimodo").retrieval
+
+
+def value(rule: RetrievalRule, pairs: TextMotionPairs, name: str, **more: Any) -> float:
+    return score_retrieval(REAL, [pairs], rule, SENTENCES, 0, **more)[name].value
+
+
+def test_real_pairs_are_found_and_random_ones_are_not() -> None:
+    own, random = REAL, TextMotionPairs(TEXTS, MOTIONS)
+    assert value(ALL, own, "recall_at_2") == 1.0 and 0.3 < value(ALL, own, "recall_at_1") < 0.7
+    for direction in ("", "_motion_asks"):
+        assert value(SAME, own, f"recall_at_1{direction}") == 1.0 == value(SAME, own, f"median_rank{direction}")
+        assert value(ALL, random, f"recall_at_10{direction}") < 0.2
+        assert value(ALL, random, f"median_rank{direction}") > 40
+    assert value(POOLS, own, "recall_at_1") > value(ALL, own, "recall_at_1")  # fewer of the doubles meet
+    assert value(FEW, own, "recall_at_3") == 1.0
+
+
+def test_chance_is_what_the_rule_leaves_to_it() -> None:
+    assert value(ALL, REAL, "recall_at_1", distance=no_distance) == pytest.approx(1 / 120)
+    assert value(SAME, REAL, "recall_at_1", distance=no_distance) == pytest.approx(2 / 120)
+    assert value(FEW, REAL, "recall_at_10", distance=no_distance) == pytest.approx(10 / 100)
+    assert value(POOLS, REAL, "recall_at_5", distance=no_distance) == pytest.approx(5 / 32)
+    assert share_of_same_texts(SAME, REAL, SENTENCES) == pytest.approx(1 / 119)
+    assert share_of_same_texts(ALL, REAL, SENTENCES) == 0
+
+
+def test_an_evaluator_that_cannot_tell_texts_apart_wins_kimodos_rule_and_not_tmrs() -> None:
+    blind = TextMotionPairs(np.ones((120, 40)) + 1e-3 * TEXTS, MOTIONS)
+    assert value(KIMODO, blind, "recall_at_1") == 1.0
+    assert share_of_same_texts(KIMODO, blind, SENTENCES) == 1.0  # which the table says
+    assert value(SAME, blind, "recall_at_1") < 0.1
+    assert value(KIMODO, blind, "recall_at_1_real_asked") == 1.0
+
+
+def test_motions_ask_for_the_real_ones_and_draws_are_averaged() -> None:
+    near, far = TextMotionPairs(TEXTS, REAL.motions + 1e-4 * MOTIONS), TextMotionPairs(TEXTS, MOTIONS)
+    values = [
+        score_retrieval(REAL, [each], KIMODO, SENTENCES, 0)["recall_at_1_real_asked"].value for each in (near, far)
+    ]
+    assert values[0] == 1.0 and values[1] < 0.1
+    both = score_retrieval(REAL, [near, far], KIMODO, SENTENCES, 0)["recall_at_1_real_asked"]
+    assert both.value == pytest.approx(np.mean(values))
+
+
+def test_too_few_pairs_for_a_pool_are_refused() -> None:
+    few = TextMotionPairs(TEXTS[:20], MOTIONS[:20])
+    with pytest.raises(ValueError, match="20 pairs do not fill a pool of 32"):
+        score_retrieval(few, [few], POOLS, SENTENCES[:20], 0)

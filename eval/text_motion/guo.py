@@ -1,0 +1,522 @@
+"""The published evaluators of text-to-motion: their files, their three networks, and what they embed.
+
+Guo et al. 2022 trained one on HumanML3D and one on KIT; MARDM (Meng et al. 2024) retrained the same networks on the
+numbers that a model generates. The size of the first layer distinguishes the four. They read `humanml3d` pose vectors
+at one framerate; embeddings are not normalised, their distances are Euclidean. Rows come in the order of the input; the
+published wrapper returns them sorted by length.
+
+Networks compute in float64: a row then depends on its batch by rounding alone (1e-14), and lies within float32's
+rounding of what the published code computes from the same weights. Source: text-to-motion, networks/modules.py.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.utils.rnn import pack_sequence
+
+from eval.sets.sets import SampleSet
+from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.motion import Caption
+from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.features import humanml3d
+from motionkit.features.humanml3d import placed, process
+from motionkit.features.layout import PoseLayout, pose_layout
+from motionkit.features.statistics import Statistics
+from motionkit.io import npy, source_file
+from motionkit.io.humanml3d import HUMANML3D, KIT, Layout
+from motionkit.training.loop import CheckpointError, foreign_tensors, one_line, read_foreign, weights_digest
+
+VERSION = "guo/2"
+WHAT = "the evaluator of Guo et al."
+FRAMES_PER_TOKEN = 4
+MAX_FRAMES = 196
+"""Frames of the longest motion in the published protocol, whose loaders drop motions of 200 frames and more."""
+ROWS_AT_ONCE = 64
+SLOPE = 0.2
+SIGNATURE_TOLERANCE = 0.01
+"""Relative: Std.npy divided by 25 is within 0.4 % of the evaluator's; Mean.npy's root height is 2.3 % from it."""
+# Standardised heights are negative half of the time, heights above the floor hardly ever.
+MAX_NEGATIVE_HEIGHTS = 0.1
+# The root of a lying body is at a seventh of its usual height; a wrong unit is a factor of at least 39 (inches).
+MOST_HEIGHT_FACTOR = 10.0
+
+NetworkT = TypeVar("NetworkT", bound=nn.Module)
+
+
+class GuoError(MotionkitError):
+    """Files that are not a published evaluator's, or invalid motions and captions."""
+
+
+@dataclass(frozen=True)
+class GuoFiles:
+    """What `load_guo` loads: `statistics` None means those beside the weights."""
+
+    weights: Path
+    glove: Path | None = None
+    statistics: Path | None = None
+
+
+@dataclass(frozen=True)
+class GuoKind:
+    """A published evaluator that reads the first `num_inputs` numbers of a data set's pose vectors.
+
+    `dataset_name` is MDM's name of the data set in its copies of the files. `root_height` is the mean of the root's
+    height, `block_std` the std of each of the vector's blocks, in the files that belong to these weights.
+    """
+
+    name: str
+    dataset: str
+    dataset_name: str
+    published: Layout
+    num_inputs: int
+    root_height: float
+    block_std: tuple[float, ...]
+
+    @property
+    def layout(self) -> PoseLayout:
+        """The layout of its pose vectors."""
+        return pose_layout(self.published.skeleton.name)
+
+    @property
+    def num_statistics(self) -> int:
+        """Numbers of mean.npy and std.npy: those of a whole vector, of MARDM's those that it reads."""
+        return self.layout.vector.size if self.name == "guo" else self.num_inputs
+
+
+# Sizes: text-to-motion, evaluator_wrapper.py; MARDM, utils/evaluators.py. Figures: the files of text-to-motion's
+# checkpoints (Comp_v6_KLD01/meta, Comp_v6_KLD005/meta) and MARDM's utils/eval_mean_std.
+KINDS = (
+    GuoKind(
+        *("guo", "HumanML3D", "t2m", HUMANML3D, 259, 0.91752),
+        (5.1467e-4, 6.7693e-4, 6.1208e-3, 0.122555, 0.300386, 0.0195406, 0.0140949),
+    ),
+    GuoKind(
+        *("guo", "KIT", "kit", KIT, 247, 559.62),
+        (9.9157e-4, 1.172767, 4.58643, 93.6202, 0.342471, 29.1116, 5.26644e-3),
+    ),
+    GuoKind("mardm", "HumanML3D", "t2m", HUMANML3D, 67, 0.93862, (0.01283, 0.01693, 0.15378, 0.12224)),
+    GuoKind("mardm", "KIT", "kit", KIT, 64, 559.62, (0.02479, 29.3192, 114.661, 93.6202)),
+)
+
+
+def kind_of(first: Tensor | None, names: tuple[str, ...], path: Path, what: str) -> GuoKind:
+    """The kind of an evaluator by the weights of its first layer; raises `CheckpointError` if it is none of `names`."""
+    shape = () if first is None else tuple(first.shape)
+    known = {kind.num_inputs: kind for kind in KINDS if kind.name in names}
+    if len(shape) < 2 or shape[1] not in known:
+        sizes = ", ".join(map(str, known))
+        raise CheckpointError(f"{path}: the first layer is {shape or 'missing'}; {what} reads {sizes} numbers")
+    return known[shape[1]]
+
+
+def read_statistics(folder: Path, kind: GuoKind) -> Statistics:
+    """mean.npy and std.npy that belong to an evaluator's weights.
+
+    Raises `GuoError` if they are missing, of another size, or of another convention: a wrong file changes every
+    number without any other error, so nothing is guessed or repaired.
+    """
+    prefixes = ("", "eval_", f"{kind.dataset_name}_")
+    pairs = [(folder / f"{prefix}mean.npy", folder / f"{prefix}std.npy") for prefix in prefixes]
+    found = next((pair for pair in pairs if all(path.is_file() for path in pair)), None)
+    if found is None:
+        expected = ", or ".join(f"{mean.name} and {std.name}" for mean, std in pairs)
+        raise GuoError(f"{folder}: there is no {expected}; they come with the evaluator (docs/evaluators.md)")
+    try:
+        mean, std = (npy.parse_npy(path, source_file.read_bytes(path), (kind.num_statistics,)) for path in found)
+        statistics = Statistics("humanml3d", mean.astype(np.float64), std.astype(np.float64))
+    except (FormatError, ValueError) as error:
+        raise GuoError(f"{folder}: {error}") from None
+    vector, belong = kind.layout.vector, f"in those of the {kind.name} evaluator of {kind.dataset}"
+    height = float(statistics.mean[vector.root_height].item())
+    if abs(height - kind.root_height) > SIGNATURE_TOLERANCE * kind.root_height:
+        raise GuoError(f"{folder}: the mean root height is {height:.4f}, {kind.root_height:.4f} {belong}")
+    for block, expected_std in zip(vector.blocks, kind.block_std, strict=False):
+        if np.abs(statistics.std[block] - expected_std).max() > SIGNATURE_TOLERANCE * expected_std:
+            raise GuoError(
+                f"{folder}: the std of numbers {block.start} to {block.stop - 1} is "
+                f"{statistics.std[block].mean():.3g}, {expected_std:.3g} {belong}"
+            )
+    return statistics
+
+
+# Captions as the text encoder reads them: GloVe vectors and parts of speech of `word/POS` tokens (text-to-motion,
+# utils/word_vectorizer.py and data/dataset.py).
+WORD_SIZE = 300
+MAX_TOKENS = 20
+"""Maximum number of a caption's tokens, without `sos` and `eos`."""
+PARTS_OF_SPEECH = (
+    *("VERB", "NOUN", "DET", "ADP", "NUM", "AUX", "PRON", "ADJ", "ADV"),
+    *("Loc_VIP", "Body_VIP", "Obj_VIP", "Act_VIP", "Desc_VIP", "OTHER"),
+)
+START, END, UNKNOWN = "sos", "eos", "unk"
+# Words with their own part of speech, which overrides the token's.
+IMPORTANT = {
+    "Loc_VIP": "left right clockwise counterclockwise anticlockwise forward back backward up down straight curve",
+    "Body_VIP": "arm chin foot feet face hand mouth leg waist eye knee shoulder thigh",
+    "Obj_VIP": "stair dumbbell chair window floor car ball handrail baseball basketball",
+    "Act_VIP": (
+        "walk run swing pick bring kick put squat throw hop dance jump turn stumble stop sit lift lower raise wash "
+        "stand kneel stroll rub bend balance flap jog shuffle lean rotate spin spread climb"
+    ),
+    "Desc_VIP": "slowly carefully fast careful slow quickly happy angry sad happily angrily sadly",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class WordVectors:
+    """GloVe vectors [words, 300] of a vocabulary; `row` is the index of a word."""
+
+    vectors: Float64[np.ndarray, "words 300"]
+    row: Mapping[str, int]
+
+    def sentence(self, caption: Caption) -> tuple[Float64[Tensor, "steps 300"], Float64[Tensor, "steps parts"]]:
+        """The caption's first 20 tokens between `sos` and `eos`: word vectors, and parts of speech as one-hot rows.
+
+        Words outside the vocabulary are `unk`/OTHER. Raises `GuoError` for a caption without tokens, or with one that
+        is not `word/POS`.
+        """
+        important = {word: part for part, words in IMPORTANT.items() for word in words.split()}
+        rows, parts = [], []
+        for word, part in ((START, ""), *_tokens(caption), (END, "")):
+            part = important.get(word, part) if word in self.row else "OTHER"
+            rows.append(self.row.get(word, self.row[UNKNOWN]))
+            parts.append(PARTS_OF_SPEECH.index(part if part in PARTS_OF_SPEECH else "OTHER"))
+        one_hot = np.eye(len(PARTS_OF_SPEECH))[parts]
+        return torch.from_numpy(self.vectors[rows]), torch.from_numpy(one_hot)
+
+
+def _tokens(caption: Caption) -> list[tuple[str, str]]:
+    pairs = []
+    for token in caption.tokens.split()[:MAX_TOKENS]:
+        word, _, part = token.rpartition("/")
+        if not word:
+            raise GuoError(f"caption {caption.text!r}: token {token!r} is not of the form word/POS")
+        pairs.append((word, part))
+    # A tagger gives X to single words; `motionkit export` writes it for captions that nobody tagged.
+    if not pairs or (len(pairs) > 2 and all(part == "X" for _, part in pairs)):
+        raise GuoError(
+            f"caption {caption.text!r} has no word/POS tokens, which Guo's text encoder reads; take those of "
+            "HumanML3D's or KIT's texts/*.txt (spaCy's en_core_web_sm wrote them; docs/evaluators.md)"
+        )
+    return pairs
+
+
+def read_word_vectors(folder: Path) -> WordVectors:
+    """our_vab_data.npy, our_vab_words.pkl and our_vab_idx.pkl of a folder, the pickles as plain data.
+
+    Raises `GuoError` if one is missing, damaged, holds anything but words and numbers, or if they disagree.
+    """
+    path = folder / "our_vab_data.npy"
+    try:
+        words, rows = (
+            npy.parse_pickle(source_file.read_bytes(folder / f"our_vab_{name}.pkl")) for name in ("words", "idx")
+        )
+        vectors = npy.parse_npy(path, source_file.read_bytes(path), (None, WORD_SIZE))
+    except (FormatError, npy.PickleError) as error:
+        raise GuoError(f"{folder}: {error}") from None
+    if not isinstance(words, list) or not isinstance(rows, dict):
+        raise GuoError(f"{folder}: our_vab_words.pkl must hold a list of words, our_vab_idx.pkl the row of each")
+    for word in (START, END, UNKNOWN, *words):
+        if not isinstance(row := rows.get(word), int) or not 0 <= row < len(vectors):
+            raise GuoError(f"{folder}: our_vab_idx.pkl has the word {word!r} in row {row} of {len(vectors)}")
+    if vectors.dtype.kind != "f" or not np.isfinite(vectors).all():
+        raise GuoError(f"{path}: expected finite floating-point numbers")
+    return WordVectors(vectors.astype(np.float64), {word: rows[word] for word in (START, END, UNKNOWN, *words)})
+
+
+class MovementEncoder(nn.Module):
+    """Two convolutions that halve time, and a linear layer: one token for every four frames."""
+
+    def __init__(self, num_inputs: int, width: int) -> None:
+        super().__init__()
+        # The published dropouts are modules 1 and 4; at evaluation they do nothing.
+        self.main = nn.Sequential(
+            *(nn.Conv1d(num_inputs, width, 4, 2, 1), nn.Identity(), nn.LeakyReLU(SLOPE)),
+            *(nn.Conv1d(width, width, 4, 2, 1), nn.Identity(), nn.LeakyReLU(SLOPE)),
+        )
+        self.out_net = nn.Linear(width, width)
+
+    def forward(self, frames: Float64[Tensor, "frames numbers"]) -> Float64[Tensor, "tokens width"]:
+        """Tokens of one motion's standardised frames."""
+        tokens: Tensor = self.out_net(self.main(frames.T).T)
+        return tokens
+
+
+class SequenceEncoder(nn.Module):
+    """A linear layer, a bidirectional GRU from a learned initial state, and two layers on its two last states."""
+
+    def __init__(self, num_inputs: int, width: int, num_outputs: int) -> None:
+        super().__init__()
+        self.input_emb = nn.Linear(num_inputs, width)
+        self.gru = nn.GRU(width, width, batch_first=True, bidirectional=True)
+        self.output_net = nn.Sequential(
+            nn.Linear(2 * width, width), nn.LayerNorm(width), nn.LeakyReLU(SLOPE), nn.Linear(width, num_outputs)
+        )
+        self.hidden = nn.Parameter(torch.zeros(2, 1, width))
+
+    def forward(self, sequences: list[Tensor]) -> Float64[Tensor, "batch outputs"]:
+        """One vector for each sequence [steps, numbers], in order; they are packed, so none is padded."""
+        packed = pack_sequence(sequences, enforce_sorted=False)
+        start = self.hidden.expand(-1, len(sequences), -1).contiguous()
+        _, last = self.gru(packed._replace(data=self.input_emb(packed.data)), start)
+        outputs: Tensor = self.output_net(torch.cat((last[0], last[1]), dim=-1))
+        return outputs
+
+
+class GuoNetworks(nn.Module):
+    """The networks of one evaluator; parameters have the published names. Published widths: 512, 1024, 512, 512."""
+
+    def __init__(self, num_inputs: int, movement: int, motion: int, text: int, shared: int) -> None:
+        super().__init__()
+        self.movement_encoder = MovementEncoder(num_inputs, movement)
+        self.motion_encoder = SequenceEncoder(movement, motion, shared)
+        self.text_encoder = SequenceEncoder(WORD_SIZE, text, shared)
+        self.text_encoder.add_module("pos_emb", nn.Linear(len(PARTS_OF_SPEECH), WORD_SIZE))
+
+    def embed_motions(self, motions: list[Tensor]) -> Float64[Tensor, "batch shared"]:
+        """Embeddings of motions: standardised frames [frames, numbers] of whole tokens."""
+        embeddings: Tensor = self.motion_encoder([self.movement_encoder(frames) for frames in motions])
+        return embeddings
+
+    def embed_texts(self, sentences: list[tuple[Tensor, Tensor]]) -> Float64[Tensor, "batch shared"]:
+        """Embeddings of sentences: word vectors [steps, 300] and parts of speech [steps, parts] of each."""
+        parts_encoder = self.text_encoder.get_submodule("pos_emb")
+        steps = [words + parts_encoder(parts) for words, parts in sentences]
+        embeddings: Tensor = self.text_encoder(steps)
+        return embeddings
+
+
+def with_weights(network: NetworkT, tensors: Mapping[str, Tensor], path: Path, what: str) -> NetworkT:
+    """A network that was built on the device "meta", with published weights.
+
+    Raises `CheckpointError` for a tensor that is missing, unexpected, of another shape, or not finite.
+    """
+    bad = next((name for name, tensor in tensors.items() if not torch.isfinite(tensor).all()), None)
+    if bad:
+        raise CheckpointError(f"{path}: {bad} holds numbers that are not finite")
+    try:
+        network.load_state_dict(dict(tensors), assign=True)
+    except RuntimeError as error:
+        raise CheckpointError(f"{path}: not {what} ({one_line(error)})") from None
+    return network.eval().requires_grad_(False)
+
+
+def fingerprint_of(
+    terms: str, network: nn.Module, statistics: Statistics, *others: Float64[np.ndarray, "_rows _numbers"]
+) -> str:
+    """First 16 hex digits of the sha256 over everything that embeddings depend on."""
+    arrays = map(torch.from_numpy, (statistics.mean, statistics.std, *others))
+    return weights_digest(f"{VERSION} {terms}", network.state_dict() | {f"array {n}": a for n, a in enumerate(arrays)})
+
+
+@dataclass(frozen=True, eq=False)
+class GuoEvaluator:
+    """A published evaluator of pose vectors, as a text–motion evaluator and a feature set of clips.
+
+    `embed_frames` embeds motions of standardised frames [frames, inputs], a multiple of 4 frames each; `embed_captions`
+    one batch of captions. `pair_score` names the score of pairs that its authors report, empty for Euclidean distances.
+    """
+
+    name: str
+    kind: GuoKind
+    statistics: Statistics
+    fingerprint: str
+    embed_frames: Callable[[list[Tensor]], Tensor]
+    embed_captions: Callable[[list[Caption]], Tensor]
+    pair_score: str = ""
+
+    @property
+    def fps(self) -> Fraction:
+        """The required framerate of the motions: 20, or 12.5 for KIT."""
+        return self.kind.published.fps
+
+    @property
+    def layout(self) -> str:
+        """Joint layout of the motions that it reads: `smpl22`, or `kit21` for KIT."""
+        return self.kind.layout.name
+
+    @property
+    def vector_size(self) -> int:
+        """Size of the pose vectors: 263, or 251 for KIT."""
+        return self.kind.layout.vector.size
+
+    def remark_at(self, fps: Fraction) -> str:
+        """Empty: other framerates are refused."""
+        return ""
+
+    def embed_motions(self, samples: SampleSet) -> Float64[np.ndarray, "sequences features"]:
+        """One row per sequence, in the order of the set, by way of `pose_vectors`.
+
+        T poses are T − 1 frames here. Raises `GuoError` for another framerate or layout, and for a sequence of fewer
+        than 5 or more than 200 poses.
+        """
+        self.check_fps(samples.fps, samples.name)
+        return self._embed(list(map(self.pose_vectors, samples.sequences)), samples.sequence_ids.__getitem__, None)
+
+    def describe(
+        self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction
+    ) -> Float64[np.ndarray, "clips features"]:
+        """One embedding per clip, in order: each clip is put on the floor, rotated and converted by itself."""
+        self.check_fps(fps, "clips")
+        return self._embed(list(map(self.pose_vectors, clips)), "clip {}".format, None)
+
+    def embed_vectors(
+        self,
+        motions: Sequence[Float[np.ndarray, "_frames numbers"]] | Float[np.ndarray, "motions frames numbers"],
+        lengths: Sequence[int] | None = None,
+    ) -> Float64[np.ndarray, "motions features"]:
+        """One row per motion given as pose vectors in their own units (not standardised), at the evaluator's framerate.
+
+        As in published comparisons, a generator's vectors, times its std plus its mean, are passed directly to the
+        evaluator. `lengths` are the motions' numbers of frames if the arrays are padded. Lengths are truncated to a
+        multiple of 4. Raises `GuoError` for vectors of another size, NaN, vectors that are still standardised or in
+        another unit, and lengths under 4, over 199 or past the array's end.
+        """
+        return self._embed(list(motions), "motion {}".format, lengths)
+
+    def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
+        """One row per caption, in order.
+
+        Raises `GuoError` without word vectors, and for a caption without `word/POS` tokens.
+        """
+        sizes = [len(caption.tokens.split()) for caption in captions]
+        return _in_batches(sizes, lambda rows: self.embed_captions([captions[row] for row in rows]))
+
+    def pose_vectors(
+        self, joint_positions: Float[np.ndarray, "poses joints 3"]
+    ) -> Float32[np.ndarray, "frames numbers"]:
+        """The pose vectors of one motion as HumanML3D makes them: T poses give T − 1, as velocities need a next pose.
+
+        `joint_positions` in metres, y up, in the evaluator's `layout`; the clip is moved to the floor and the origin,
+        facing Z+. Bones of the 22 joints are scaled to HumanML3D's lengths. Those of KIT's 21 are unchanged: KIT-ML's
+        own files all have its reference lengths. Raises `GuoError` for another layout.
+        """
+        poses, joints, _ = joint_positions.shape
+        if joints != self.kind.layout.num_joints or poses < 2:
+            raise GuoError(
+                f"{poses} poses of {joints} joints: {self.kind.dataset}'s evaluator reads two poses or more of "
+                f"{self.kind.layout.num_joints} joints ({self.layout}; KIT's has no clip-FID, which compares 22 joints)"
+            )
+        if self.kind.published is HUMANML3D:
+            return humanml3d.vectors(process(joint_positions, self.layout), self.layout)
+        in_unit = joint_positions / np.float32(self.kind.published.unit_metres)
+        return humanml3d.vectors(placed(in_unit, self.layout), self.layout)
+
+    def check_fps(self, fps: Fraction, name: str) -> None:
+        """Raise `GuoError` for a framerate other than the evaluator's."""
+        if fps != self.fps:
+            raise GuoError(
+                f"{name}: {fps} fps, but {self.kind.dataset}'s evaluator was trained at {float(self.fps):g} fps and "
+                f"means nothing at another: evaluate with --fps {float(self.fps):g}"
+            )
+
+    def _embed(
+        self,
+        motions: Sequence[Float[np.ndarray, "_frames numbers"]],
+        title: Callable[[int], str],
+        lengths: Sequence[int] | None,
+    ) -> Float64[np.ndarray, "motions features"]:
+        frames = [len(motion) for motion in motions] if lengths is None else [int(length) for length in lengths]
+        if len(frames) != len(motions):
+            raise GuoError(f"{len(frames)} lengths for {len(motions)} motions")
+        self._check_vectors(motions, title, frames)
+        num_inputs, whole = self.kind.num_inputs, [length // FRAMES_PER_TOKEN * FRAMES_PER_TOKEN for length in frames]
+        mean, std = self.statistics.mean[:num_inputs], self.statistics.std[:num_inputs]
+
+        def embed(rows: list[int]) -> Tensor:
+            # Nothing past a motion's end is seen, so an embedding is the motion's own.
+            seen = [motions[row][: whole[row], :num_inputs].astype(np.float64) for row in rows]
+            return self.embed_frames([torch.from_numpy((each - mean) / std) for each in seen])
+
+        return _in_batches(whole, embed)
+
+    def _check_vectors(
+        self, motions: Sequence[Float[np.ndarray, "_frames numbers"]], title: Callable[[int], str], frames: list[int]
+    ) -> None:
+        kind = self.kind
+        heights = []
+        for index, (motion, length) in enumerate(zip(motions, frames, strict=True)):
+            if motion.ndim != 2 or motion.shape[1] not in (self.vector_size, kind.num_statistics):
+                raise GuoError(
+                    f"{title(index)}: vectors of shape {motion.shape}; {kind.dataset}'s have {self.vector_size} numbers"
+                )
+            if not FRAMES_PER_TOKEN <= length <= min(len(motion), MAX_FRAMES + FRAMES_PER_TOKEN - 1):
+                raise GuoError(
+                    f"{title(index)}: {length} frames of {len(motion)}; the evaluator knows motions of "
+                    f"{FRAMES_PER_TOKEN} to {MAX_FRAMES} frames ({float(MAX_FRAMES / self.fps):.1f} s)"
+                )
+            if not np.isfinite(motion).all():
+                raise GuoError(f"{title(index)}: holds NaN or infinity")
+            heights.append(motion[:length, kind.layout.vector.root_height])
+        below = float(np.mean(np.concatenate(heights) < 0))
+        if below > MAX_NEGATIVE_HEIGHTS:
+            raise GuoError(
+                f"the root is below the floor in {below:.0%} of the frames, so these vectors are still "
+                "standardised: multiply by the std and add the mean that they were standardised with"
+            )
+        usual = float(np.median([np.median(each) for each in heights]))
+        if not 1 / MOST_HEIGHT_FACTOR < usual / kind.root_height < MOST_HEIGHT_FACTOR:
+            raise GuoError(
+                f"the root's height is {usual:.3g} in the typical motion, {kind.root_height:.3g} in "
+                f"{kind.dataset}: these motions are in another unit"
+            )
+
+
+def _in_batches(sizes: Sequence[int], embed: Callable[[list[int]], Tensor]) -> Float64[np.ndarray, "rows features"]:
+    """Rows in the order of the input; batches have inputs of similar size."""
+    by_size = np.argsort(sizes, kind="stable")
+    starts = range(0, len(by_size), ROWS_AT_ONCE)
+    with torch.inference_mode():
+        rows = [embed(by_size[start : start + ROWS_AT_ONCE].tolist()).double().numpy() for start in starts]
+    return np.concatenate(rows)[np.argsort(by_size)]
+
+
+def load_guo(files: GuoFiles) -> GuoEvaluator:
+    """Load `text_mot_match/model/finest.tar`, and the statistics and word vectors that belong to it.
+
+    Without a folder of statistics (mean.npy, std.npy) the published archive's location is searched. The weights' sizes
+    distinguish HumanML3D's evaluator from KIT's, and Guo's from MARDM's. Raises `CheckpointError` for invalid weights
+    and `GuoError` for other invalid files.
+    """
+    path, loaded = files.weights, read_foreign(files.weights)
+    encoders = ("movement_encoder", "motion_encoder", "text_encoder")
+    tensors = {
+        f"{encoder}.{name}": tensor
+        for encoder in encoders
+        for name, tensor in foreign_tensors(loaded, encoder, path, WHAT).items()
+    }
+    kind = kind_of(tensors.get("movement_encoder.main.0.weight"), ("guo", "mardm"), path, WHAT)
+    outputs = (f"{encoders[0]}.out_net", f"{encoders[1]}.input_emb", f"{encoders[2]}.input_emb")
+    lacking = torch.zeros(1)
+    widths = [len(tensors.get(f"{layer}.bias", lacking)) for layer in (*outputs, f"{encoders[1]}.output_net.3")]
+    with torch.device("meta"):
+        networks = GuoNetworks(kind.num_inputs, *widths)
+    networks = with_weights(networks, tensors, path, WHAT).double()
+    # Where the published archives have them: text-to-motion's models of both data sets, and T2M-GPT's.
+    dataset = path.absolute().parent.parent.parent
+    models = ("Comp_v6_KLD01", "Comp_v6_KLD005", "VQVAEV3_CB1024_CMT_H1024_NRES3")
+    beside = next((dataset / model / "meta" for model in models if (dataset / model / "meta").is_dir()), None)
+    folder = files.statistics or beside
+    if folder is None:
+        raise GuoError(
+            f"{path}: the statistics that belong to these weights are not beside them; name their folder with "
+            "--statistics DIR (Comp_v6_KLD01/meta of the published archive; docs/evaluators.md)"
+        )
+    statistics = read_statistics(folder, kind)
+    words = None if files.glove is None else read_word_vectors(files.glove)
+    vocabulary = {} if words is None else dict(words.row)
+    vectors = () if words is None else (words.vectors,)
+    fingerprint = fingerprint_of(f"{kind.name} {kind.dataset} {vocabulary}", networks, statistics, *vectors)
+
+    def embed_captions(captions: list[Caption]) -> Tensor:
+        if words is None:
+            raise GuoError("the word vectors that Guo's text encoder reads were not given: --glove DIR (our_vab_*)")
+        return networks.embed_texts(list(map(words.sentence, captions)))
+
+    return GuoEvaluator(kind.name, kind, statistics, fingerprint, networks.embed_motions, embed_captions)

@@ -1,1 +1,0 @@
-"""Guo et al.'s evaluator of text and motion."""
