@@ -134,7 +134,7 @@ def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
         # Vectors have one frame more than those made of the joints that they give.
         assert rows["vectors"]["cells"][column]["value"] == pytest.approx(cell["value"], rel=0.05, abs=0.02), column
         assert rows["real"]["cells"][column]["value"] == pytest.approx(cell["value"], rel=1e-4, abs=1e-5), column
-    assert list(json.loads(outcome.stdout)["definition"]["real_motions"]) == ["12.5 fps, 21 joints of KIT-ML"]
+    assert list(json.loads(outcome.stdout)["definition"]["real_motions"]) == ["guo"]
     assert "Printed in the NeRM paper (KIT)" in outcome.stdout
 
     def listens(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
