@@ -232,7 +232,7 @@ def load_denoiser(run: RunFolder, device: str | torch.device = "cpu") -> Trained
     folder = run.stage(STAGE_NAME)
     folder.read_summary()
     tensors, description = load_tensors(folder.model_path)
-    with rebuilding(folder.model_path, STAGE_NAME, tensors):
+    with rebuilding(folder.model_path, STAGE_NAME):
         trained = _rebuild(tensors, description)
     trained.denoiser.to(device)
     return trained
@@ -343,7 +343,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint, builds_on=("field",))
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
-    figures = context.train(training, folder, settings.precision)
+    figures = context.train(training, folder)
     if not ranks.is_first:
         return
     trained = training.finished(

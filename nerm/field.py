@@ -442,7 +442,7 @@ def load_field(run: RunFolder | Path, device: str = "cpu") -> TrainedField:
         folder.read_summary()
     tensors, description = load_tensors(folder.model_path)
     where = resolve_device(device)
-    with rebuilding(folder.model_path, STAGE_NAME, tensors):
+    with rebuilding(folder.model_path, STAGE_NAME):
         return _rebuild(tensors, description, where)
 
 

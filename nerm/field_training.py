@@ -297,7 +297,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         warn(remark)
     poses = WindowPoses(windows, frames, settings.clips.fixed_framerate)
     training = FieldTraining(poses, settings, codebook=codes, seed=context.seed, device=device, ranks=ranks)
-    figures = context.train(training, folder, settings.precision)
+    figures = context.train(training, folder)
     mean, log_variance = training.posteriors()
     if not ranks.is_first:
         return

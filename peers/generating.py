@@ -200,7 +200,7 @@ def train_stage(stage: PeerStage, context: StageContext, config: PeerConfig) -> 
         network = stage.make_network(config.network, NetworkInputs(space, sizes, len(corpus), networks))
     folder = context.begin(stage.name, config, store_fingerprint=store.fingerprint, builds_on=stage.earlier)
     training = PeerTraining(config, corpus, network, device)
-    figures = context.train(training, folder, config.precision)
+    figures = context.train(training, folder)
     tensors = {
         **prefixed("network", training.learner.trained_tensors()),
         **prefixed("scaling", vars(scaling)),
@@ -250,7 +250,7 @@ def load_stage(run: RunFolder, stage: PeerStage, device: torch.device) -> Traine
             f"motionkit train --stage {name} --run {run.path.name} --overwrite"
         )
     earlier = {each.name: load_stage(run, each, device).network for each in stage.builds_on}
-    with rebuilding(folder.model_path, name, tensors), seeded_initialisation(0, name):
+    with rebuilding(folder.model_path, name), seeded_initialisation(0, name):
         config = from_plain(stage.config_type, description["config"])
         scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"]).to(device)
         space = PoseSpace(vectors_of(config.motions.pose_vectors, tensors), scaling, config.motions.framerate)

@@ -213,7 +213,7 @@ def load_evaluator(run: Path, stage: str = "evaluator") -> NativeEvaluator:
             f"{folder.model_path} is of version {description.get('version')!r}, expected {version!r}: "
             f"train it again (motionkit train --stage {stage} --run {run.name} --overwrite)"
         )
-    with rebuilding(folder.model_path, stage, tensors):
+    with rebuilding(folder.model_path, stage):
         config = from_plain(NetworkConfig, description["config"]["network"])
         network = EvaluatorNetwork(config, int(description["text_dimension"]))
         network.load_state_dict(tensors)

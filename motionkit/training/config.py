@@ -25,7 +25,7 @@ class ConfigLike(Protocol):
 
 
 # The number format of matrix products (motionkit.training.devices).
-Precision = Literal["auto", "float32", "tf32", "bfloat16"]
+Precision = Literal["auto", "float32", "bfloat16"]
 
 ConfigT = TypeVar("ConfigT", bound=ConfigLike)
 T = TypeVar("T")

@@ -83,7 +83,7 @@ def load_detail(run: Path) -> Detail:
     stage.read_summary()
     path = stage.model_path
     tensors, _ = load_tensors(path)
-    with rebuilding(path, NAME, tensors):
+    with rebuilding(path, NAME):
         return Detail(**{name: tensor.numpy() for name, tensor in tensors.items()})
 
 

@@ -1,6 +1,6 @@
 """Devices, number formats and processes of a training.
 
-Weights, moments and losses are always float32; matrix products may be bfloat16 or TF32.
+Weights, moments and losses are always float32; matrix products may be bfloat16.
 
 Distributed data-parallel training: `torchrun` starts the processes and sets their environment variables. A batch does
 not depend on the number of ranks: every rank draws all of it (from the same generator), computes its own rows, and
@@ -180,12 +180,9 @@ def has_bfloat16(device: torch.device) -> bool:
 def with_precision_of(settings: ConfigT, device: torch.device) -> ConfigT:
     """The settings with `precision` "auto" replaced by bfloat16 if the device supports it, else by float32.
 
-    So the run's config.json records the choice, and a run is not silently resumed in another precision. Raises
-    `UsageError` for unsupported TF32.
+    So the run's config.json records the choice, and a run is not silently resumed in another precision.
     """
     precision: Precision = vars(settings)["precision"]
-    if precision == "tf32" and not (device.type == "cuda" and torch.cuda.get_device_capability(device) >= (8, 0)):
-        raise UsageError(f"{device} has no TF32 (NVIDIA GPUs from Ampere on have): precision=auto, or float32")
     if precision != "auto":
         return settings
     chosen = "bfloat16" if has_bfloat16(device) else "float32"
@@ -196,17 +193,6 @@ def autocast(precision: Precision, device: torch.device) -> AbstractContextManag
     """Autocast matrix products inside, and later their gradients, to bfloat16 if that is the precision."""
     chosen = precision == "bfloat16" or (precision == "auto" and has_bfloat16(device))
     return torch.autocast(device.type, torch.bfloat16, enabled=chosen)
-
-
-@contextmanager
-def float32_products(precision: Precision) -> Iterator[None]:
-    """Allow or forbid TF32 for float32 products inside, gradients too; a process-wide setting."""
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision("high" if precision == "tf32" else "highest")
-    try:
-        yield
-    finally:
-        torch.set_float32_matmul_precision(before)
 
 
 def resolve_device(name: str) -> torch.device:

@@ -22,7 +22,6 @@ import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
-from torch.nn.modules.module import register_module_parameter_registration_hook
 
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import sync, whole_file, write_json
@@ -375,10 +374,6 @@ def dropout_from(generator: torch.Generator, device: torch.device, rank: int = 0
 DESCRIPTION = "description"
 HINT = "train the stage again with --overwrite, or restore the file from a copy"
 
-# Limit of a network's size relative to its file: parameters may be replaced during construction, and missing tensors
-# should be reported by name.
-LARGER = 4
-
 
 class CheckpointError(MotionkitError):
     """A checkpoint that is missing or belongs to another model."""
@@ -425,25 +420,11 @@ def one_line(error: Exception) -> str:
 
 
 @contextmanager
-def rebuilding(path: Path, stage: str, tensors: Mapping[str, torch.Tensor]) -> Iterator[None]:
+def rebuilding(path: Path, stage: str) -> Iterator[None]:
     """Context for building a stage's network from the result of `load_tensors` on `path`.
 
-    Raises `CheckpointError` for settings whose network is far larger than the tensors, before memory is allocated, and
-    for missing tensors or other types.
+    Raises `CheckpointError` for missing tensors, others, or other settings.
     """
-    thread, left = threading.get_ident(), LARGER * len(tensors)
-    numbers_left = LARGER * sum(tensor.numel() for tensor in tensors.values())
-
-    def check(module: torch.nn.Module, name: str, parameter: torch.nn.Parameter) -> None:
-        nonlocal left, numbers_left
-        if threading.get_ident() != thread:
-            return
-        left, numbers_left = left - 1, numbers_left - parameter.numel()
-        if left < 0 or numbers_left < 0:
-            place, shape = f"{type(module).__name__}.{name}", tuple(parameter.shape)
-            raise ValueError(f"its tensors are too few or too small for {place} of shape {shape}")
-
-    hook = register_module_parameter_registration_hook(check)
     try:
         yield
     except (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError, UsageError) as error:
@@ -451,8 +432,6 @@ def rebuilding(path: Path, stage: str, tensors: Mapping[str, torch.Tensor]) -> I
             f"{path}: not a {stage} of this version of motionkit ({one_line(error)}); train it again "
             f"(motionkit train --stage {stage} --overwrite)"
         ) from None
-    finally:
-        hook.remove()
 
 
 def prefixed(prefix: str, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -38,7 +38,6 @@ from motionkit.core.progress import OnProgress, ignore
 from motionkit.training.config import (
     ConfigLike,
     ConfigT,
-    Precision,
     apply_overrides,
     flatten,
     leaves,
@@ -55,8 +54,6 @@ if TYPE_CHECKING:
 # A pattern. Without a hyphen first, as options have.
 STAGE_NAME = r"\w[\w-]*"
 SHOWN_LETTERS = 24
-# Keys of config.json that others read.
-CONFIG_TYPES = {"config": dict, "recipe": str, "seed": int, "store_fingerprint": str, "builds_on": dict}
 RECORDED_PACKAGES = ("motionkit", "torch", "numpy", "scipy", "safetensors")
 
 
@@ -103,11 +100,7 @@ class StageFolder:
 
     def read_config(self) -> dict[str, Any]:
         """Read config.json; raises `RunError` if the stage is not trained, `DamagedFileError`."""
-        config = self._read(self.config_path)
-        for name, kind in CONFIG_TYPES.items():
-            if name in config and not isinstance(config[name], kind):
-                raise DamagedFileError(self.config_path, f"{name} is {shown(config[name])}", HINT)
-        return config
+        return self._read(self.config_path)
 
     def read_summary(self) -> dict[str, Any]:
         """The final metrics; raises `RunError` if the stage is not complete, `DamagedFileError`."""
@@ -420,21 +413,20 @@ class StageContext:
             "budget_seconds": self.budget_seconds,
         }
 
-    def train(self, training: "Trainable", folder: StageFolder, precision: Precision) -> dict[str, float]:
+    def train(self, training: "Trainable", folder: StageFolder) -> dict[str, float]:
         """Run a training's steps, as many as the budget allows if there is one.
 
         Returns the figures of `train_loop`; errors as there and in `plan_steps`.
         """
-        from motionkit.training.devices import float32_products, resolve_device
+        from motionkit.training.devices import resolve_device
         from motionkit.training.loop import plan_steps, seconds_spent, train_loop
 
-        with float32_products(precision):
-            if self.budget_seconds is not None:
-                if self.ranks.size > 1:
-                    raise UsageError("--budget is for one process: a rank does not know what the others have spent")
-                clock = seconds_spent(resolve_device(self.device))
-                plan_steps(training, folder, self.budget_seconds, self.seed, clock)
-            return train_loop(training, folder, seed=self.seed, ranks=self.ranks, on_progress=self.on_progress)
+        if self.budget_seconds is not None:
+            if self.ranks.size > 1:
+                raise UsageError("--budget is for one process: a rank does not know what the others have spent")
+            clock = seconds_spent(resolve_device(self.device))
+            plan_steps(training, folder, self.budget_seconds, self.seed, clock)
+        return train_loop(training, folder, seed=self.seed, ranks=self.ranks, on_progress=self.on_progress)
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ class TemporalSystem:
         with seeded_initialisation(context.seed, self.name):
             network = self.make_network(config, takes.num_features)
         training = TemporalTraining(network, WindowSampler(takes, settings), seed=context.seed, device=device)
-        figures = context.train(training, folder, settings.precision)
+        figures = context.train(training, folder)
         tensors = prefixed("network", training.learner.trained_tensors())
         description = {
             "format": FORMAT,
@@ -98,7 +98,7 @@ class TemporalSystem:
                 f"{folder.model_path} is {found}, expected {(FORMAT, FORMAT_VERSION, self.name)}: train it again "
                 f"(motionkit train --stage {self.name} --overwrite)"
             )
-        with rebuilding(folder.model_path, self.name, tensors):
+        with rebuilding(folder.model_path, self.name):
             config = from_plain(self.config_type, description["config"])
             scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
             network = self.make_network(config, len(scaling.mean))

@@ -8,7 +8,7 @@ import torch
 from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
 from motionkit.features import field as field_vectors
 from motionkit.features.field import FIELD_VECTORS
-from motionkit.training.config import apply_overrides
+from motionkit.training.config import apply_overrides, setting_text
 from motionkit.training.loop import step_generator
 from nerm.field import TrainedField
 from nerm.field_training import FieldTraining
@@ -45,6 +45,15 @@ SMALL = apply_overrides(
         "optimizer.weight_decay=0.0",
     ],
 )
+
+
+def local_settings(knots: tuple[int, ...], numbers: tuple[int, ...], path_knots: int, *changes: str) -> FieldConfig:
+    """Latents of these banks, a Lanczos window, and a path if it has knots."""
+    dimension = sum(count * size for count, size in zip((*knots, path_knots), (*numbers, 3), strict=True))
+    banks = {"dimension": dimension, "knots": knots, "knot_numbers": numbers, "path_knots": path_knots}
+    settings = [f"latents.{key}={setting_text(value)}" for key, value in banks.items()]
+    kinds = ["latents.layout=local", "latents.kernel=lanczos", "loss.scaling=group"]
+    return apply_overrides(FieldConfig(), [*settings, *kinds, *changes])
 
 
 def small_poses(config: FieldConfig = SMALL) -> WindowPoses:

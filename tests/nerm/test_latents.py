@@ -34,6 +34,7 @@ from nerm.latents import (
 from nerm.network import FieldNetwork
 from nerm.recipes import FieldConfig, LatentScale
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source, corpus_in_memory
+from tests.nerm.small_fields import local_settings
 
 KERNELS: list[Kernel] = ["hann", "lanczos"]
 TIMES = torch.linspace(-1, 1, 301, dtype=torch.float64)
@@ -58,20 +59,8 @@ def test_ridge_knots_recover_what_knots_made(seed: int, kernel: Kernel, radius: 
     torch.testing.assert_close(found, knots, atol=2e-3, rtol=2e-3)
 
 
-BANKED = apply_overrides(
-    FieldConfig(),
-    [
-        "windows.max_duration_seconds=4.0",
-        "latents.layout=local",
-        f"latents.dimension={16 * 6 + 8 * 5 + 8 * 3}",
-        "latents.knots=16,8",
-        "latents.knot_numbers=6,5",
-        "latents.path_knots=8",
-        "latents.kernel=lanczos",
-        "loss.scaling=group",
-        "loss.root_weight=4.0",
-        "latents.ridge=0.001",
-    ],
+BANKED = local_settings(
+    (16, 8), (6, 5), 8, "windows.max_duration_seconds=4.0", "loss.root_weight=4.0", "latents.ridge=0.001"
 )
 
 
@@ -166,29 +155,9 @@ def test_what_a_short_window_does_not_reach_holds_its_last_pose() -> None:
         assert float(late.abs().max()) > 0.4
 
 
-ONE_BANK = apply_overrides(
-    FieldConfig(),
-    [
-        "latents.layout=local",
-        "latents.dimension=32",
-        "latents.knots=8",
-        "latents.knot_numbers=4",
-        "decoder.width=16",
-        "decoder.num_layers=2",
-        "encoder.kind=none",
-    ],
-)
-TWO_BANKS = apply_overrides(
-    ONE_BANK,
-    [
-        f"latents.dimension={16 * 2 + 8 * 3 + 8 * 3}",
-        "latents.knots=16,8",
-        "latents.knot_numbers=2,3",
-        "latents.path_knots=8",
-        "latents.kernel=lanczos",
-        "loss.scaling=group",
-    ],
-)
+TINY = ("decoder.width=16", "decoder.num_layers=2", "encoder.kind=none")
+ONE_BANK = local_settings((8,), (4,), 0, "latents.kernel=hann", *TINY)
+TWO_BANKS = local_settings((16, 8), (2, 3), 8, *TINY)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.31, 1.0])
@@ -204,18 +173,7 @@ def test_a_field_reads_the_numbers_in_use_and_no_others(share: float, config: Fi
     np.testing.assert_array_equal(latents.grad[0] != 0, used[0])
 
 
-SPACED = apply_overrides(
-    FieldConfig(),
-    [
-        "latents.layout=local",
-        f"latents.dimension={8 * 2 + 4 * 3 + 4 * 3}",
-        "latents.knots=8,4",
-        "latents.knot_numbers=2,3",
-        "latents.path_knots=4",
-        "loss.scaling=group",
-        "loss.root_weight=3.0",
-    ],
-)
+SPACED = local_settings((8, 4), (2, 3), 4, "latents.kernel=hann", "loss.root_weight=3.0")
 BANKS = local_latents(SPACED)
 assert BANKS is not None
 

@@ -86,7 +86,7 @@ class World:
             fingerprint = read_manifest(context.store).fingerprint
             folder = context.begin(name, config, store_fingerprint=fingerprint, builds_on=builds_on(config))
             training = Climb(config.steps, self.clock)
-            context.train(training, folder, "float32")
+            context.train(training, folder)
             save_tensors(folder.model_path, training.state_tensors(), {})
             folder.finish({"steps": training.steps})
 

@@ -1,4 +1,4 @@
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.core.errors import UsageError
 from motionkit.training import devices
 from motionkit.training.config import Precision
 from motionkit.training.devices import (
@@ -14,7 +13,6 @@ from motionkit.training.devices import (
     DealtRows,
     Ranks,
     autocast,
-    float32_products,
     joined_ranks,
     present_ranks,
     with_precision_of,
@@ -39,20 +37,6 @@ def test_auto_is_bfloat16_only_where_the_processor_has_it(
     assert with_precision_of(Settings("float32"), CPU).precision == "float32"
     with autocast("auto", CPU):
         assert (torch.ones(2, 2) @ torch.ones(2, 2)).dtype == getattr(torch, chosen)
-
-
-def test_tf32_needs_a_gpu() -> None:
-    with pytest.raises(UsageError, match=r"cpu has no TF32 .*: precision=auto, or float32"):
-        with_precision_of(replace(Settings(), precision="tf32"), CPU)
-
-
-def test_the_process_gets_its_float32_products_back() -> None:
-    before = torch.get_float32_matmul_precision()
-    with float32_products("tf32"):
-        assert torch.get_float32_matmul_precision() == "high"
-        with float32_products("bfloat16"):
-            assert torch.get_float32_matmul_precision() == "highest"
-    assert torch.get_float32_matmul_precision() == before
 
 
 @given(st.integers(1, 9), st.integers(0, 50))

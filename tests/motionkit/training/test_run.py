@@ -1,12 +1,11 @@
 import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from motionkit.core.errors import DamagedFileError, UsageError
-from motionkit.core.files import remove_entry, write_json
+from motionkit.core.files import remove_entry
 from motionkit.training.devices import resolve_device
 from motionkit.training.run import RunError, RunFolder, Stage, StageContext, choose_stages, commit
 from tests.helpers.plugin_lists import install_only
@@ -134,13 +133,3 @@ def test_the_commit_is_that_of_this_code_and_of_no_checkout_around_it(tmp_path: 
     git("commit", "-q", "-m", "somebody's own work")
     assert commit(kept) == git("rev-parse", "HEAD")
     assert commit(installed) is None
-
-
-@pytest.mark.parametrize(
-    "changed", [{"config": 7}, {"recipe": ["nano"]}, {"seed": "0"}, {"store_fingerprint": [1]}, {"builds_on": [1]}]
-)
-def test_a_config_of_other_types_is_named(changed: dict[str, Any], tmp_path: Path) -> None:
-    folder = _context(tmp_path).begin("first", Config(), store_fingerprint="abc")
-    write_json(folder.config_path, folder.read_config() | changed)
-    with pytest.raises(DamagedFileError, match=rf"config\.json is damaged .*{min(changed)}"):
-        _context(tmp_path, resume=True).begin("first", Config(), store_fingerprint="abc")
