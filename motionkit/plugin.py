@@ -1,4 +1,4 @@
-"""motionkit's own commands and stages (`motionkit.core.plugins`)."""
+"""motionkit's own commands, stages and text encoders (`motionkit.core.plugins`)."""
 
 COMMANDS = {
     "compact": "motionkit.cli.store:compact",
@@ -20,3 +20,8 @@ COMMANDS = {
     "view": "motionkit.cli.view:view",
 }
 STAGES = {"detail": "motionkit.training.detail:STAGE"}
+TEXT_ENCODERS = {
+    "minilm": "motionkit.training.text:load_minilm",
+    "clip": "motionkit.training.text:load_clip",
+    "transformers": "motionkit.training.text:load_transformers",
+}

@@ -51,8 +51,8 @@ from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
 from nerm.field import TrainedField, load_field
 from nerm.latents import LatentSpace, LocalLatents, first_read, in_use, measured_space
 from nerm.network import Denoiser
+from nerm.paraphrases import with_paraphrases
 from nerm.recipes import DenoiserConfig, NermConfig
-from nerm.text import with_paraphrases
 
 SAMPLES_PER_BATCH = 256
 WEIGHT_DECAY = 0.01

@@ -1,4 +1,4 @@
-"""NeRM's stages, its model and motion encoder, text encoders and ablations (`motionkit.core.plugins`)."""
+"""NeRM's stages, its model and motion encoder and ablations (`motionkit.core.plugins`)."""
 
 from motionkit.core.plugins import lazily
 from motionkit.training.run import Loader
@@ -9,9 +9,4 @@ MODELS = {
     "nerm": Loader("NeRM", ("field", "denoiser"), lazily("nerm.model:load"), fixed_fps_setting="field.clips.fixed_fps")
 }
 ENCODERS = {"nerm": Loader("NeRM", ("field",), lazily("nerm.encoding:load"), tasks=("reconstruction",))}
-TEXT_ENCODERS = {
-    "minilm": "nerm.text:load_minilm",
-    "clip": "nerm.text:load_clip",
-    "transformers": "nerm.text:load_transformers",
-}
 ABLATIONS = {"nerm": "nerm.recipes:NERM"}

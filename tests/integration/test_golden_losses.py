@@ -98,7 +98,7 @@ def test_every_stage_has_its_losses() -> None:
 def test_losses_are_those_that_were_recorded(
     name: str, run: RunFolder, monkeypatch: pytest.MonkeyPatch, pytestconfig: pytest.Config
 ) -> None:
-    monkeypatch.setattr("nerm.text.load_minilm", lambda name: HashEncoder())
+    monkeypatch.setattr("motionkit.training.text.load_minilm", lambda name: HashEncoder())
     with float64_on_one_thread():
         found = train(name, run)
     golden = json.loads(GOLDEN.read_text(encoding="utf-8"))

