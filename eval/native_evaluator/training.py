@@ -200,7 +200,7 @@ def train_evaluator(stage: str, context: StageContext, config: EvaluatorConfig) 
         network = EvaluatorNetwork(config.network, encoder.dimension)
     trainable = EvaluatorTraining(config, banks, sentences, network, resolve_device(context.device))
     trainable.standardise_by(np.random.default_rng((context.seed, 1)))
-    latest = context.train(trainable, folder, "float32")
+    latest = context.train(trainable, folder)
     header = {
         "version": VERSIONS[stage],
         "config": to_plain(config),
