@@ -37,13 +37,6 @@ def test_a_task_that_fails_or_is_left_is_finished() -> None:
     assert reports[-1] == Progress("read", 0, 2, finished=True)
 
 
-def test_tracked_items_count_when_the_next_is_asked_for() -> None:
-    reports: list[Progress] = []
-    seen = [(item, reports[-1].done) for item in tracked(reports.append, "read", "ab", 2)]
-    assert seen == [("a", 0), ("b", 1)]
-    assert reports[-1] == Progress("read", 2, 2, finished=True)
-
-
 def test_a_warning_names_the_line_that_led_to_it() -> None:
     code = "from motionkit.core import progress\n\nprogress.warn('a cache is damaged')"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

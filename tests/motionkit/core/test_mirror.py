@@ -40,15 +40,6 @@ def test_mirrored_rotations_give_the_mirrored_positions_on_an_asymmetric_body():
     assert mirrored.skeleton.end_sites == ((21, (-0.1, 0.0, 0.02)),)
 
 
-def test_mirroring_twice_is_nothing():
-    motion = random_motion(SMPL22)
-    twice = mirror(mirror(motion))
-    assert np.array_equal(twice.joint_positions, motion.joint_positions)
-    assert np.array_equal(twice.local_rotations, motion.local_rotations)
-    assert np.array_equal(twice.root_translation, motion.root_translation)
-    assert twice.skeleton == motion.skeleton
-
-
 @pytest.mark.parametrize("pairs", [(), ((4, 2),)])
 def test_skeletons_that_cannot_be_mirrored(pairs):
     with pytest.raises(ValueError, match="joints"):

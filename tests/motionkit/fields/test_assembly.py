@@ -134,14 +134,3 @@ def test_a_chain_goes_on_where_the_last_motion_ends() -> None:
     assert np.allclose(*travelled, atol=1e-3)
     speed = np.linalg.norm(joint_velocities(field, times), axis=-1)
     assert np.allclose(speed, np.linalg.norm(joint_velocities(walk, times), axis=-1), atol=2e-2)
-
-
-def two(first_at: float, second_at: float, *, scale: float = 1.0) -> list[Piece]:
-    other = random_motion(1, num_frames=40, fps=Fraction(20), skeleton=SMPL22.scaled(scale))
-    return [Piece(wandering(0), first_at), Piece(interpolate(other), second_at)]
-
-
-@pytest.mark.parametrize("pieces", [[], two(0.0, 1.95), two(1.0, 0.0), two(0.0, np.nan), two(0.0, 1.0, scale=2.0)])
-def test_what_cannot_be_assembled_is_refused(pieces: list[Piece]) -> None:
-    with pytest.raises(ValueError):
-        assemble(pieces)

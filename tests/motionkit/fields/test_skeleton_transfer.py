@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.completion import complete
 from motionkit.fields.interpolation import INTERPOLATORS, Interpolator
@@ -132,13 +131,6 @@ def test_bones_keep_their_length_and_the_reference_its_place() -> None:
     assert plain.local_rotations is not None
     alike = np.abs(np.sum(plain.local_rotations[:, finger] * made.local_rotations[:, finger], axis=-1))
     assert alike.min() > 1 - 1e-6
-
-
-def test_a_skeleton_that_nobody_knows_is_refused() -> None:
-    dog = Skeleton("dog", ("hub", "tail", "snout"), (-1, 0, 0), np.eye(3, dtype=np.float32))
-    motion = swinging(dog)
-    with pytest.raises(SkeletonMapError, match="dog"):
-        Transferred(CUBIC).encode(Observation.of(motion))
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from motionkit.fields.motion_field import to_motion
 from motionkit.io.amass import write_amass as write
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import read, scan
-from motionkit.io.smpl_body import LAYOUTS, find_body_model, mean_shape_skeleton
+from motionkit.io.smpl_body import LAYOUTS, mean_shape_skeleton
 from tests.helpers.amass_samples import (
     WIDTHS,
     read_one,
@@ -183,20 +183,6 @@ def test_the_model_is_the_gender_s_or_neutral(tmp_path: Path, gender: object, ex
     write_amass(tmp_path / "amass" / "a_poses.npz", smplh_fields(width=72, gender=gender))
     motion = read_one(tmp_path / "amass", ReadOptions(body_models=tmp_path / "models"))
     assert motion.skeleton.name == f"smpl-{expected}" and motion.skeleton.num_joints == 24
-
-
-def test_betas_of_any_form_and_none(tmp_path: Path) -> None:
-    layout = LAYOUTS["smpl"]
-    write_body_model(tmp_path / "models" / "SMPL_FEMALE.npz", layout)
-    model = find_body_model(tmp_path / "models", layout, "female")
-    betas = np.linspace(-1, 1, 16)
-    options = ReadOptions(body_models=tmp_path / "models")
-    for form in (betas, betas[None], np.tile(betas, (4, 1)), betas[:10], betas.astype(np.float32)):
-        write_amass(tmp_path / "amass" / "a_poses.npz", smplh_fields(width=72, betas=form))
-        offsets = read_one(tmp_path / "amass", options).skeleton.offsets
-        assert np.allclose(offsets[0], model.rest_joints(betas[:10])[0], atol=1e-6)
-    write_amass(tmp_path / "amass" / "a_poses.npz", smplh_fields(width=72, betas=None))
-    assert np.allclose(read_one(tmp_path / "amass", options).skeleton.offsets[0], model.mean_joints[0], atol=1e-6)
 
 
 def test_what_is_wrong_with_a_model_is_reported(tmp_path: Path) -> None:

@@ -3,12 +3,10 @@
 import json
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from motionkit.io.annotations import tables_in
 from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.io.scan import read, read_document, scan
 from tests.helpers.format_samples import bvh_text, write_asfamc
@@ -91,24 +89,6 @@ def test_columns_that_are_not_read_are_reported(tmp_path: Path, header: str, unr
     found = scan([tmp_path])
     assert (len(found.items), found.problems, len(found.warnings)) == (1, (), bool(unread))
     assert all(column in found.warnings[0].message for column in unread)
-
-
-@pytest.mark.parametrize(
-    ("cells", "stated"),
-    [
-        ("7,40,", {"group": "7", "num_frames": 40}),
-        (",,0", {"skip_frames": 0}),
-        (",0,", "num_frames"),
-        (",,-1", "skip_frames"),
-    ],
-)
-def test_numbers_of_frames(tmp_path: Path, cells: str, stated: dict[str, Any] | str) -> None:
-    (tmp_path / "samples.csv").write_text(f"file,group,num_frames,skip_frames\na.npy,{cells}\n")
-    ((table,), _) = tables_in(tmp_path)
-    if isinstance(stated, str):
-        assert [problem.line for problem in table.problems] == [2] and stated in str(table.problems[0])
-    else:
-        assert list(table.rows.values()) == [{"line": 2, **stated}]
 
 
 @pytest.mark.parametrize(("table", "option", "kept"), [("2", 0, 2), ("", 3, 1), ("2", 3, 2), ("0", 3, 4), ("", 0, 4)])

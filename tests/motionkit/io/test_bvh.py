@@ -135,21 +135,6 @@ def test_bones_that_move_leave_positions_only(tmp_path: Path, moves: float) -> N
     assert motion.joint_positions[2, 1].tolist() == pytest.approx([0, 0.1 + 0.01 * moves, 0])
 
 
-def test_position_channels_of_zeros_leave_the_offset(tmp_path: Path) -> None:
-    head, body = TEXT.split("MOTION")
-    lines = body.splitlines()
-    frames = [line.split() for line in lines[3:]]
-    placed = [
-        cells[:6] + [f"-0.000001 0 0 {' '.join(cells[i : i + 3])}" for i in range(6, len(cells), 3)] for cells in frames
-    ]
-    zeros = head.replace("CHANNELS 3 ", "CHANNELS 6 Xposition Yposition Zposition ") + "MOTION"
-    (tmp_path / "zeros.bvh").write_text("\n".join([zeros, *lines[1:3], *map(" ".join, placed)]) + "\n")
-    (tmp_path / "plain.bvh").write_text(TEXT)
-    one, other = (read_bvh(tmp_path / name) for name in ("zeros.bvh", "plain.bvh"))
-    assert np.array_equal(one.joint_positions, other.joint_positions)
-    assert np.array_equal(one.skeleton.offsets, other.skeleton.offsets)
-
-
 def rows(num_frames: int) -> np.ndarray:
     table = np.random.default_rng(3).normal(0, 30, (num_frames, NUM_BVH_CHANNELS)).round(3)
     table[:, 1] = 95
@@ -195,12 +180,3 @@ def test_line_ends_of_all_kinds(tmp_path: Path, ending: str) -> None:
     document = read_document(tmp_path / "a.bvh")
     np.testing.assert_allclose(document.table, table, rtol=1e-5)
     assert document.lines == [line.encode() for line in bvh_text(table.tolist()).splitlines()[-9:]]
-
-
-def test_a_longer_take_than_a_store_holds_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "take.bvh"
-    path.write_text(bvh_text(rows(50).tolist())[:-1] + "x\n")  # refused before the bad number is read
-    for name, limit in (("MAX_FRAMES", 49), ("MAX_POSES", 49 * 16)):
-        with monkeypatch.context() as patched:
-            patched.setattr(f"motionkit.io.source_file.{name}", limit)
-            assert refusal(read_bvh, path).reason == "too-large"

@@ -8,8 +8,7 @@ import pytest
 
 import motionkit as mk
 from motionkit.core import kinematics
-from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError, rest_positions
+from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.retargeting import retarget, stands
 from motionkit.io.smpl_body import mean_shape_skeleton
@@ -99,11 +98,3 @@ def test_a_root_on_the_floor_and_a_tail_come_along(motion: mk.Motion) -> None:
     np.testing.assert_allclose(made.joint_positions[:, 1:23], motion.joint_positions, atol=1e-3)
     tail = made.joint_positions[:, 23] - made.joint_positions[:, 1]
     np.testing.assert_allclose(np.linalg.norm(tail, axis=-1), 0.4, atol=1e-5)
-
-
-def test_whom_no_rest_pose_fits() -> None:
-    lying = replace(SMPL22, offsets=np.abs(SMPL22.offsets))
-    assert stands(mean_shape_skeleton()) and not stands(lying) and not stands(SMPL22)
-    chain = Skeleton("chain", ("a", "b"), (-1, 0), np.ones((2, 3), np.float32))
-    with pytest.raises(SkeletonMapError):
-        retarget(mk.Motion(rest_positions(chain)[None], chain, TimeGrid(Fraction(1), 1)), mean_shape_skeleton())

@@ -4,8 +4,6 @@ import itertools
 import os
 import pickle
 import shutil
-import subprocess
-import sys
 from fractions import Fraction
 from pathlib import Path
 
@@ -151,18 +149,6 @@ def test_a_killed_builder_leaves_nothing_that_is_used(small_store):
         assert folders(small_store) == [built.path], "what a killed builder left is removed"
         shutil.rmtree(small_store / "cache")
     assert step > 4
-
-
-def test_two_builders_at_once(small_store):
-    program = (
-        "import sys; from motionkit.store import Store; from motionkit.store.cache import open_cache; "
-        "sys.stdin.read(1); print(len(open_cache(Store.open(sys.argv[1])).positions))"
-    )
-    command = [sys.executable, "-c", program, str(small_store)]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    children = [subprocess.Popen(command, **pipes) for _ in range(2)]
-    assert [child.communicate("x")[0].strip() for child in children] == ["812"] * 2
-    assert len(folders(small_store)) == 1
 
 
 @pytest.mark.parametrize("name", ["positions.npy", "cache.json", "sums.npy"])

@@ -3,10 +3,8 @@
 On a full or failing disk too; and nothing is written or deleted through symbolic links.
 """
 
-import errno
 import itertools
 import json
-import os
 import resource
 import shutil
 import subprocess
@@ -204,37 +202,3 @@ def test_a_full_disk_leaves_everything_as_it_was(small_store, make_motion):
     assert leftovers(small_store) == []
     append(small_store, make_motion)  # the lock is free, with the writer that failed still there
     assert "new-0" in Store.open(small_store)
-
-
-@pytest.mark.parametrize(
-    ("change", "call"), [("append", "fsync"), ("remove", "replace"), ("compact", "fsync"), ("compact", "unlink")]
-)
-def test_a_disk_that_fails_at_any_call_is_reported_with_what_is_committed(
-    small_store, other, make_motion, tmp_path, monkeypatch, change, call
-):
-    original, whole, failures = getattr(os, call), small_store.rename(tmp_path / "whole"), 0
-    before = Store.open(whole).fingerprint
-    for fails_at in range(100):
-        store = Path(shutil.copytree(whole, tmp_path / "store"))
-        calls = itertools.count()
-
-        def failing(*arguments, fails_at=fails_at, calls=calls, **options):
-            if next(calls) == fails_at:
-                raise OSError(errno.EIO, os.strerror(errno.EIO))
-            return original(*arguments, **options)
-
-        with monkeypatch.context() as patch:
-            patch.setattr(os, call, failing)
-            try:
-                CHANGES[change](store, make_motion)
-                failed = None
-            except (StoreError, OSError) as error:
-                failed = error
-        if next(calls) <= fails_at:
-            break
-        assert failed is not None
-        failures += 1
-        assert ("committed" in str(failed)) == (Store.open(store).fingerprint != before)
-        assert list(faults(store)) == []
-        shutil.rmtree(store)
-    assert failures > 0

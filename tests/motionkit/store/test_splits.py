@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.core.errors import StoreError, UsageError
+from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption
 from motionkit.store import Store, StoreWriter
 from motionkit.store.life import DEFAULT_SHARES, assign_groups, split
@@ -123,17 +123,6 @@ def test_what_cannot_be_split_is_reported_and_left(many, shares, options, messag
     with pytest.raises(UsageError, match=message):
         split(many, shares, **options)
     assert Store.open(many).fingerprint == before
-
-
-def test_a_store_without_performers_is_reported_with_a_remedy(tmp_path, make_motion):
-    named = [taken_by(make_motion, f"n{take}", "anna", source="known") for take in range(3)]
-    nameless = [taken_by(make_motion, f"x{take}", "", source="unknown") for take in range(3)]
-    path = write(tmp_path / "store", [*named, *nameless])
-    with pytest.raises(UsageError, match="--by"):
-        split(path)
-    split(path, {"train": 1.0}, where="subject = ''")
-    with pytest.raises(StoreError, match="nowhere"):
-        split(tmp_path / "nowhere")
 
 
 def test_wordings_are_held_out_whatever_their_case_and_punctuation(tmp_path, make_motion):
