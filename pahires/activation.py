@@ -181,8 +181,8 @@ def _slope_factor(
     """c of Ω = c · `spread`, at which E σ′² is `SLOPE_SQUARE` times the variance."""
 
     def slope_square(factor: float) -> float:
-        found = gaussian_moments(heights / (factor * spread), factor * spread, phases)
-        return found.slope_square / found.variance
+        moments = gaussian_moments(heights / (factor * spread), factor * spread, phases)
+        return moments.slope_square / moments.variance
 
     low, high = 1e-3, 1e3
     for _ in range(50):

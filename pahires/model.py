@@ -55,8 +55,8 @@ class PaHiRes(torch.nn.Module):
         segment, times = self._time_features(window)
         num_frames = window.frames.shape[1]
         rows = torch.arange(len(segment), device=segment.device)[:, None]
-        asked, place = torch.unique(rows * num_frames + segment, return_inverse=True)
-        row, segments = asked // num_frames, asked % num_frames
+        places, place = torch.unique(rows * num_frames + segment, return_inverse=True)
+        row, segments = places // num_frames, places % num_frames
         codes = [scale(window, row, segments) for scale in self.scales]
         fused = codes[:1]
         for attention, finer, coarser in zip(self.attentions, codes, codes[1:], strict=False):
@@ -134,12 +134,12 @@ class CrossScaleAttention(torch.nn.Module):
         self, finer: Float[torch.Tensor, "segments code"], coarser: Float[torch.Tensor, "segments code"]
     ) -> Float[torch.Tensor, "segments code"]:
         """z̃_{s+1}."""
-        asking, asked = (
+        finer_tokens, coarser_tokens = (
             each.reshape(*each.shape[:-1], self.tokens, each.shape[-1] // self.tokens) for each in (finer, coarser)
         )
-        query, key = self.query(asking + self.places[0]), self.key(asked + self.places[1])
+        query, key = self.query(finer_tokens + self.places[0]), self.key(coarser_tokens + self.places[1])
         weight = torch.softmax(query @ key.transpose(-1, -2) / math.sqrt(query.shape[-1]), dim=-1)
-        fused: torch.Tensor = coarser + self.mix((weight @ self.value(asked)).flatten(-2))
+        fused: torch.Tensor = coarser + self.mix((weight @ self.value(coarser_tokens)).flatten(-2))
         return fused
 
 

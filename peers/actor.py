@@ -57,9 +57,9 @@ class Actor(PeerNetwork):
         """Mean squared errors of pose vectors and joints over valid frames, and KL summed over the batch."""
         mask, joints_of = batch.mask, self.space.joints
         mean, log_variance = self.encode(batch.rows, mask, batch.conditions)
-        made = self.decode(reparameterized(mean, log_variance, batch.generator), mask, batch.conditions)
-        features = mse_loss(made[mask], batch.rows[mask])
-        joints = mse_loss(joints_of(made)[mask], joints_of(batch.rows)[mask])
+        predicted = self.decode(reparameterized(mean, log_variance, batch.generator), mask, batch.conditions)
+        features = mse_loss(predicted[mask], batch.rows[mask])
+        joints = mse_loss(joints_of(predicted)[mask], joints_of(batch.rows)[mask])
         kl = kl_divergence(mean, log_variance).sum()
         loss = features + self.config.joint_weight * joints + self.config.kl_weight * kl
         return {"loss": loss, "features": features, "joints": joints, "kl": kl}

@@ -69,14 +69,14 @@ class Camdm(PeerNetwork):
         mask = batch.mask[:, self.config.past :]
         has_past = (torch.rand(len(past), generator=batch.generator) >= self.config.no_past).to(past.device)
         noisy, steps, _ = layers.noised(clean, self.config.diffusion, batch.generator)
-        made = self(noisy * mask[..., None], steps, batch.conditions, past, has_past)
+        predicted = self(noisy * mask[..., None], steps, batch.conditions, past, has_past)
         both = mask[:, 1:] & mask[:, :-1]
-        joints, truth = self.space.joints(made), self.space.joints(clean)
+        joints, truth = self.space.joints(predicted), self.space.joints(clean)
         moved, true_moved = _changes(joints), _changes(truth)
         contact = (true_moved[:, :, FEET].norm(dim=-1) <= CONTACT_METRES) & both[..., None]
         terms = {
-            "pose": (made - clean)[mask].square().mean(),
-            "pose_change": (_changes(made) - _changes(clean))[both].square().mean(),
+            "pose": (predicted - clean)[mask].square().mean(),
+            "pose_change": (_changes(predicted) - _changes(clean))[both].square().mean(),
             "joints": (joints - truth)[mask].square().mean(),
             "joint_change": (moved - true_moved)[both].square().mean(),
             "feet": (moved[:, :, FEET].square().sum(dim=-1) * contact).sum() / contact.sum().clamp(min=1),
@@ -90,8 +90,8 @@ class Camdm(PeerNetwork):
         for start in range(0, batch.frames, self.config.future):
             has_past = torch.full((count,), start > 0, device=batch.device)
             network = layers.with_inputs(self, rows[:, -past:], has_past)
-            made = layers.diffusion_sample(network, batch, lambda: batch.noise(self.config.future, self.numbers))
-            rows = torch.cat((rows, made.float()), dim=1)
+            segment = layers.diffusion_sample(network, batch, lambda: batch.noise(self.config.future, self.numbers))
+            rows = torch.cat((rows, segment.float()), dim=1)
         return rows[:, past : past + batch.frames]
 
 
@@ -99,14 +99,14 @@ def _changes(values: Tensor) -> Tensor:
     return values[:, 1:] - values[:, :-1]
 
 
-STRETCHES = MotionsConfig(fps=30.0, max_frames=294, seen="stretch", seen_frames=55)
+SEGMENTS = MotionsConfig(fps=30.0, max_frames=294, sampled_frames=55)
 CAMDM = PeerStage(
     "camdm",
     "CAMDM: autoregressive diffusion of motion segments in 4 steps",
     Camdm,
     nano=PeerConfig(
         CamdmNetworkConfig(SMALL),
-        STRETCHES,
+        SEGMENTS,
         replace(MINILM, drop=0.15),
         cosine(6000, 64, 3e-3),
         ema_decay=0.995,
@@ -114,7 +114,7 @@ CAMDM = PeerStage(
     ),
     paper=PeerConfig(
         CamdmNetworkConfig(),
-        STRETCHES,
+        SEGMENTS,
         ConditionsConfig(drop=0.15),
         Schedule(epochs=100, batch_size=512),
         weight_decay=0.01,

@@ -128,16 +128,16 @@ class FlowLayer(nn.Module):
         shift, scale, gate, then_shift, then_scale, then_gate = self.moved(embedding)[:, None].chunk(6, dim=-1)
         tokens = tokens + gate * self.dropout(self._attention(self.norm(tokens) * (1 + scale) + shift, mask))
         gated, up = self.gate_up(self.norm(tokens) * (1 + then_scale) + then_shift).chunk(2, dim=-1)
-        made: Tensor = tokens + then_gate * self.dropout(self.down(silu(gated) * up))
-        return made
+        outputs: Tensor = tokens + then_gate * self.dropout(self.down(silu(gated) * up))
+        return outputs
 
     def _attention(self, tokens: Tokens, mask: Mask) -> Tokens:
         q, k, v = self.qkv(tokens).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)
         # float32 even under autocast: torch warns about a norm whose weights have another dtype.
         q, k = (rotary(norm(each.float()).to(v.dtype)) for norm, each in ((self.query_norm, q), (self.key_norm, k)))
         mixed = scaled_dot_product_attention(q, k, v, attn_mask=mask[:, None, None])
-        made: Tensor = self.attended(mixed.transpose(1, 2).flatten(2))
-        return made
+        outputs: Tensor = self.attended(mixed.transpose(1, 2).flatten(2))
+        return outputs
 
 
 def zeros(layer: nn.Linear) -> nn.Linear:

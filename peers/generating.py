@@ -186,7 +186,7 @@ def train_stage(stage: PeerStage, context: StageContext, config: PeerConfig) -> 
     earlier = {each.name: load_stage(context.run, each, device) for each in stage.builds_on}
     corpus = open_corpus(store, config.motions, config.conditions, encoder)
     for name, trained in earlier.items():
-        theirs, own = (replace(each.motions, seen="all", seen_frames=0) for each in (trained.config, config))
+        theirs, own = (replace(each.motions, scattered=False, sampled_frames=0) for each in (trained.config, config))
         if theirs != own:
             raise RunError(
                 f"{name} was trained on other motions ({theirs}, not {own}): give both stages the same `motions.…` "
@@ -241,9 +241,9 @@ def load_stage(run: RunFolder, stage: PeerStage, device: torch.device) -> Traine
     name, folder = stage.name, run.stage(stage.name)
     folder.read_summary()
     tensors, description = load_tensors(folder.model_path)
-    found = tuple(description.get(key) for key in ("format", "version", "stage"))
-    if found != (FORMAT, FORMAT_VERSION, name):
-        raise CheckpointError(f"{folder.model_path} is {found}, expected {(FORMAT, FORMAT_VERSION, name)}")
+    kind = tuple(description.get(key) for key in ("format", "version", "stage"))
+    if kind != (FORMAT, FORMAT_VERSION, name):
+        raise CheckpointError(f"{folder.model_path} is {kind}, expected {(FORMAT, FORMAT_VERSION, name)}")
     if description["builds_on"] != run.fingerprints(stage.earlier):
         raise RunError(
             f"{', '.join(stage.earlier)} was trained again after {folder.model_path}: "
@@ -334,7 +334,7 @@ class PeerModel:
         seconds = [self._seconds(request, seed, first + row) for row, request in enumerate(requests)]
         # A batch is padded to its longest motion: motions of similar length are batched together.
         rows = sorted(range(len(requests)), key=seconds.__getitem__)
-        made: dict[int, MotionField] = {}
+        fields: dict[int, MotionField] = {}
         for start in range(0, len(rows), MOTIONS_PER_BATCH):
             some = rows[start : start + MOTIONS_PER_BATCH]
             lengths = [min(ceil(seconds[row] * fps - 1e-6) + 1, most) for row in some]
@@ -353,8 +353,8 @@ class PeerModel:
             if not np.isfinite(vectors).all():
                 raise UsageError(f"sampling diverged: a guidance scale of {diffusion.guidance_scale:g} is too large")
             for row, length, own in zip(some, lengths, vectors, strict=True):
-                made[row] = self._field(own[:length], seconds[row])
-        return [made[row] for row in range(len(requests))]
+                fields[row] = self._field(own[:length], seconds[row])
+        return [fields[row] for row in range(len(requests))]
 
     def _field(self, vectors: Float32[np.ndarray, "frames numbers"], duration_seconds: float) -> MotionField:
         """Poses at the model's own framerate, interpolated by SLERP over the requested duration."""

@@ -104,7 +104,7 @@ class TwoStreamDecoder(nn.Module):
         self, codes: Float[Tensor, "2 batch width"], first: Float[Tensor, "batch numbers"], frames: int
     ) -> Rows:
         """Standardised rows, starting from the pose `first`."""
-        pose, states, made = first[:, self.order], list(codes), []
+        pose, states, poses = first[:, self.order], list(codes), []
         for _ in range(frames):
             *own_limbs, trunk = torch.split(pose, self.sizes, dim=1)
             limbs: list[Tensor] = []
@@ -117,8 +117,8 @@ class TwoStreamDecoder(nn.Module):
             inner = [own for own, _ in split] + [torch.stack([other for _, other in split]).mean(dim=0)]
             change = torch.cat([layer(part) for layer, part in zip(self.to_parts, inner, strict=True)], dim=1)
             pose = pose + change
-            made.append(pose)
-        return torch.stack(made, dim=1)[..., self.back]
+            poses.append(pose)
+        return torch.stack(poses, dim=1)[..., self.back]
 
 
 class Critic(nn.Module):
@@ -133,8 +133,8 @@ class Critic(nn.Module):
 
     def forward(self, rows: Rows, lengths: Lengths) -> Float[Tensor, "batch 1"]:
         """Logits."""
-        made: Tensor = self.layers(last_states(self.cell(rows)[0], lengths))
-        return made
+        logits: Tensor = self.layers(last_states(self.cell(rows)[0], lengths))
+        return logits
 
 
 class Hier(PeerNetwork):
@@ -192,7 +192,7 @@ HIER = PeerStage(
     ),
     paper=PeerConfig(
         HierNetworkConfig(),
-        replace(SLOW, seen="stretch", seen_frames=32),
+        replace(SLOW, sampled_frames=32),
         GIVEN,
         Schedule(epochs=300, batch_size=32, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=1 / 300),
     ),

@@ -81,9 +81,9 @@ class InrMlp(PeerNetwork):
         if not trains_codes:
             pairs = [(mean.detach(), log_variance.detach()) for mean, log_variance in pairs]
         self.layers.requires_grad_(not trains_codes)
-        made = self(batch.frames, *(reparameterized(*pair, batch.generator) for pair in pairs))
+        predicted = self(batch.frames, *(reparameterized(*pair, batch.generator) for pair in pairs))
         self.layers.requires_grad_(True)
-        errors = (made - batch.rows).square()[batch.mask]
+        errors = (predicted - batch.rows).square()[batch.mask]
         pose, root = errors.mean(), errors[:, ROOT].mean()
         kl = torch.stack([kl_divergence(*pair).sum(dim=1).mean() for pair in pairs]).sum()
         loss = pose + self.config.root_weight * root + self.config.kl_weight * kl
@@ -92,8 +92,8 @@ class InrMlp(PeerNetwork):
     def sample(self, batch: SampleBatch) -> Rows:
         """Standardised rows from codes of the mixture for the action and the length."""
         mean, log_variance = self.condition_mean(batch.conditions), self.condition_log_variance(batch.conditions)
-        wanted = zip(batch.conditions.action.tolist(), batch.lengths.tolist(), batch.generators, strict=True)
-        codes = [self.mixture(action, length).draw(generator) for action, length, generator in wanted]
+        each = zip(batch.conditions.action.tolist(), batch.lengths.tolist(), batch.generators, strict=True)
+        codes = [self.mixture(action, length).draw(generator) for action, length, generator in each]
         noise = [torch.randn(self.config.code, generator=generator) for generator in batch.generators]
         own = torch.stack(codes).to(batch.device, torch.float32)
         condition = mean + (0.5 * log_variance).exp() * torch.stack(noise).to(batch.device)
@@ -174,7 +174,7 @@ def fit_mixture(
 
 
 # Whole windows, of which a step sees five frames.
-WHOLE_IN_5 = MotionsConfig(pose_vectors="field", crops="whole", seen="scattered", seen_frames=5)
+WHOLE_IN_5 = MotionsConfig(pose_vectors="field", crops="whole", scattered=True, sampled_frames=5)
 INR_MLP = PeerStage(
     "inr-mlp",
     "INR-MLP: an MLP of time and a latent code per training motion",

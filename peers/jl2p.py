@@ -47,12 +47,12 @@ class Jl2p(PeerNetwork):
 
     def decode(self, code: Latents, first: Float[Tensor, "batch numbers"], frames: int) -> Rows:
         """Standardised rows, starting from `first`; each step predicts the change of pose."""
-        pose, made = first, []
+        pose, poses = first, []
         for _ in range(frames):
             code = self.cell(pose, code)
             pose = pose + self.change(code)
-            made.append(pose)
-        return torch.stack(made, dim=1)
+            poses.append(pose)
+        return torch.stack(poses, dim=1)
 
     def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
         """Smooth L1 of the curriculum's frames, decoded from motion codes or, in half of the batches, conditions'."""
@@ -63,9 +63,9 @@ class Jl2p(PeerNetwork):
         from_condition = bool(torch.rand((), generator=batch.generator) < 0.5)
         lengths = batch.lengths.clamp(max=frames)
         code = self.sentence(batch.conditions).tanh() if from_condition else self.encode(rows, lengths)
-        made = self.decode(code, first_poses(rows, self.config.mean_first, batch.generator), frames)
+        predicted = self.decode(code, first_poses(rows, self.config.mean_first, batch.generator), frames)
         mask = batch.mask[:, :frames]
-        return {"loss": smooth_l1_loss(made[mask], rows[mask])}
+        return {"loss": smooth_l1_loss(predicted[mask], rows[mask])}
 
     def sample(self, batch: SampleBatch) -> Rows:
         """Standardised rows, starting from the mean pose; deterministic."""
@@ -86,7 +86,7 @@ JL2P = PeerStage(
     ),
     paper=PeerConfig(
         Jl2pNetworkConfig(),
-        replace(SLOW, seen="stretch", seen_frames=16),
+        replace(SLOW, sampled_frames=16),
         GIVEN,
         Schedule(epochs=1000, batch_size=100, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=1 / 1000),
     ),

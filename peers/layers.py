@@ -165,8 +165,8 @@ def diffusion_loss(
     alphas = networks.cumulative_alphas(config).to(clean.device)
     noisy, steps, noise = noised(clean, config, batch.generator)
     target = networks.prediction_target(config.prediction, clean.flatten(1), noise.flatten(1), steps, alphas)
-    made = network(noisy * mask[..., None], steps, batch.conditions).float()
-    errors = (made - target.view(clean.shape)).square().mean(dim=-1) * mask
+    predicted = network(noisy * mask[..., None], steps, batch.conditions).float()
+    errors = (predicted - target.view(clean.shape)).square().mean(dim=-1) * mask
     return (errors.sum(dim=1) / mask.sum(dim=1)).mean()
 
 

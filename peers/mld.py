@@ -80,9 +80,9 @@ class MldVae(PeerNetwork):
         """Smooth L1 of pose vectors and of joints over valid frames, and KL, each averaged over elements."""
         mask, joints_of = batch.mask, self.space.joints
         mean, log_variance = self.encode(batch.rows, mask)
-        made = self.decode(reparameterized(mean, log_variance, batch.generator), mask)
-        features = smooth_l1_loss(made[mask], batch.rows[mask])
-        joints = smooth_l1_loss(joints_of(made)[mask], joints_of(batch.rows)[mask])
+        predicted = self.decode(reparameterized(mean, log_variance, batch.generator), mask)
+        features = smooth_l1_loss(predicted[mask], batch.rows[mask])
+        joints = smooth_l1_loss(joints_of(predicted)[mask], joints_of(batch.rows)[mask])
         kl = kl_divergence(mean, log_variance).mean()
         loss = features + self.config.joint_weight * joints + self.config.kl_weight * kl
         return {"loss": loss, "features": features, "joints": joints, "kl": kl}

@@ -39,8 +39,8 @@ class MotionsConfig:
 
     Windows begin every `stride_seconds` of a sequence and last at least `min_seconds`. As in HumanML3D's data loaders,
     crop lengths are multiples of `crop_multiple` frames, one multiple shorter than fits with probability 1/3. With
-    `crops="whole"` a crop is its whole window. The network sees all frames of a crop, or `seen_frames` of them: a
-    random stretch, or frames scattered over it (with replacement).
+    `crops="whole"` a crop is its whole window. The network gets all frames of a crop, or `sampled_frames` of them (0:
+    all): consecutive ones from a random start, or with `scattered` random ones (with replacement).
     """
 
     pose_vectors: PoseVectorsName = "native"
@@ -51,16 +51,16 @@ class MotionsConfig:
     mirrored: bool = True
     crop_multiple: int = 4
     crops: Literal["random", "whole"] = "random"
-    seen: Literal["all", "stretch", "scattered"] = "all"
-    seen_frames: int = 0
+    sampled_frames: int = 0
+    scattered: bool = False
     where: str = "split = 'train'"
 
     def __post_init__(self) -> None:
         require_positive(self, "fps", "min_seconds", "stride_seconds", "crop_multiple")
         if self.max_frames < 2:
             raise ValueError(f"max_frames must be 2 or more, not {self.max_frames}")
-        if (self.seen == "all") != (self.seen_frames == 0):
-            raise ValueError(f"seen={self.seen} with seen_frames={self.seen_frames}: all with 0, else above 0")
+        if self.scattered and not self.sampled_frames:
+            raise ValueError("scattered needs sampled_frames above 0")
 
     @property
     def framerate(self) -> Fraction:
@@ -99,12 +99,12 @@ class ConditionsConfig:
         self, rows: Float32[np.ndarray, "texts dimension"], texts: Sequence[str]
     ) -> Float32[Tensor, "texts dimension"]:
         """Embeddings of these texts as the networks get them: the null embedding for empty ones."""
-        made = torch.from_numpy(np.asarray(rows, dtype=np.float32)).clone()
+        vectors = torch.from_numpy(np.asarray(rows, dtype=np.float32)).clone()
         if self.scaled:
-            made *= made.shape[1] ** 0.5 / made.norm(dim=1, keepdim=True).clamp(min=1e-6)
+            vectors *= vectors.shape[1] ** 0.5 / vectors.norm(dim=1, keepdim=True).clamp(min=1e-6)
         if self.nothing == "zeros":
-            made[[row for row, text in enumerate(texts) if not text]] = 0.0
-        return made
+            vectors[[row for row, text in enumerate(texts) if not text]] = 0.0
+        return vectors
 
     def check(self, has_captions: bool, has_actions: bool) -> None:
         """Raise `UsageError` if the motions lack what is needed."""
@@ -141,13 +141,13 @@ class PoseSpace:
 
     def joints(self, rows: Rows) -> Float[Tensor, "batch frames joints 3"]:
         """Joint positions in metres from standardised `native` vectors, as `native.positions` does."""
-        part, numbers = self.layout, self.scaling.invert(rows)
+        layout, numbers = self.layout, self.scaling.invert(rows)
         angle = self.heading(numbers)
-        path = self.path(numbers[..., part.root_velocity], angle)
-        relative = numbers[..., part.joint_positions].reshape(*numbers.shape[:-1], -1, 3)
+        path = self.path(numbers[..., layout.root_velocity], angle)
+        relative = numbers[..., layout.joint_positions].reshape(*numbers.shape[:-1], -1, 3)
         flat = _to_first_frame(relative[..., ::2], angle[..., None, :]) + path[..., None, :]
         others = torch.stack((flat[..., 0], relative[..., 1], flat[..., 1]), dim=-1)
-        root = torch.cat((path[..., :1], numbers[..., part.root_height], path[..., 1:]), dim=-1)
+        root = torch.cat((path[..., :1], numbers[..., layout.root_height], path[..., 1:]), dim=-1)
         return torch.cat((root[..., None, :], others), dim=-2)
 
     def heading(self, numbers: Rows) -> Float[Tensor, "batch frames 1"]:
@@ -273,29 +273,29 @@ class MotionCorpus:
             units = available // unit - (chance[0].numpy() < SHORTER_SHARE)
             lengths = np.clip(units * unit, min(unit, self.config.max_frames), available)
         start = np.floor(chance[1].numpy() * (available - lengths + 1)).astype(np.int64)
-        frames, seen = self._seen_frames(torch.from_numpy(lengths), generator)
+        frames, counts = self._sampled_frames(torch.from_numpy(lengths), generator)
         ticks = np.minimum(start[:, None] + frames.numpy(), last_tick[:, None])
         vectors = torch.from_numpy(self.poses.at_rate(rows.numpy(), ticks, self.config.framerate).vectors)
-        mask = frames_within(seen, vectors.shape[1])
+        mask = frames_within(counts, vectors.shape[1])
         # A window has captions or an action, never both: there is nothing to choose.
         conditions = self.conditions.draw(rows, chance[[0, 2, 3]], drop=drop)
         padded = self.scaling.apply(vectors) * mask[..., None]
-        return MotionBatch(padded, seen, mask, conditions, rows, frames, generator)
+        return MotionBatch(padded, counts, mask, conditions, rows, frames, generator)
 
-    def _seen_frames(
+    def _sampled_frames(
         self, lengths: Lengths, generator: torch.Generator
     ) -> tuple[Int64[Tensor, "batch frames"], Lengths]:
-        """Frame indices of crops that the network sees, and their number: all, a random stretch, or scattered ones."""
-        most = self.config.seen_frames
-        if self.config.seen == "all":
+        """Indices of the frames of crops that the network gets, and their numbers."""
+        most = self.config.sampled_frames
+        if not most:
             return torch.arange(int(lengths.max())).expand(len(lengths), -1), lengths
-        if self.config.seen == "scattered":
+        if self.config.scattered:
             chance = torch.rand((len(lengths), most), generator=generator, dtype=torch.float64)
             return (chance * lengths[:, None]).to(torch.int64), torch.full((len(lengths),), most)
-        seen = lengths.clamp(max=most)
+        counts = lengths.clamp(max=most)
         chance = torch.rand(len(lengths), generator=generator, dtype=torch.float64)
-        first = (chance * (lengths - seen + 1)).to(torch.int64)
-        return first[:, None] + torch.arange(int(seen.max())), seen
+        first = (chance * (lengths - counts + 1)).to(torch.int64)
+        return first[:, None] + torch.arange(int(counts.max())), counts
 
 
 def open_corpus(

@@ -70,8 +70,8 @@ class Residual(nn.Module):
         """The next layer's values."""
         changed = self.activation(self.changed(values))
         kept: Tensor = self.kept(avg_pool1d(values, self.stride) if self.stride > 1 else values)
-        made: Tensor = self.share * changed + (1 - self.share) * kept
-        return made
+        outputs: Tensor = self.share * changed + (1 - self.share) * kept
+        return outputs
 
 
 def residuals(widths: tuple[int, ...], kernel: int, activation: Callable[[], nn.Module]) -> list[Residual]:
@@ -202,9 +202,9 @@ class Nemf(PeerNetwork):
         config, layout, mask, scaling = self.config, self.space.layout, batch.mask, self.space.scaling
         latents = self.encode(batch.rows, batch.lengths)
         drawn = (reparameterized(*each, batch.generator) for each in latents)
-        made, rotations, turns = self(batch.rows.shape[1], *drawn)
+        positions, rotations, turns = self(batch.rows.shape[1], *drawn)
         scale = scaling.scale[layout.joint_positions]
-        joints = l1_loss(made[mask] * scale, batch.rows[..., layout.joint_positions][mask] * scale)
+        joints = l1_loss(positions[mask] * scale, batch.rows[..., layout.joint_positions][mask] * scale)
         true = scaling.invert(batch.rows)[..., layout.joint_rotations]
         bones = _angles(_matrices(rotations[mask]), _matrices(true[mask])).mean()
         root = _angles(_matrices(turns[mask])[:, 0], self._orientation(batch.rows)[mask]).mean()
@@ -247,8 +247,8 @@ class Nemf(PeerNetwork):
     def _orientation(self, rows: Rows) -> Float[Tensor, "batch frames 3 3"]:
         """The root's orientation: yaw since the first frame, about Y."""
         angle = self.space.heading(self.space.scaling.invert(rows))
-        made: Tensor = roma.rotvec_to_rotmat(pad(angle, (1, 1)))
-        return made
+        matrices: Tensor = roma.rotvec_to_rotmat(pad(angle, (1, 1)))
+        return matrices
 
 
 def _field_layer(inputs: int, width: int) -> nn.Sequential:
@@ -257,8 +257,10 @@ def _field_layer(inputs: int, width: int) -> nn.Sequential:
 
 def _matrices(columns: Float[Tensor, "*poses numbers"]) -> Float[Tensor, "*poses joints 3 3"]:
     """Rotation matrices from the 6D representation."""
-    made: Tensor = roma.special_gramschmidt(columns.reshape(*columns.shape[:-1], -1, 2, 3).transpose(-1, -2).float())
-    return made
+    matrices: Tensor = roma.special_gramschmidt(
+        columns.reshape(*columns.shape[:-1], -1, 2, 3).transpose(-1, -2).float()
+    )
+    return matrices
 
 
 def _columns(matrices: Float[Tensor, "*some 3 3"]) -> Float[Tensor, "*some 6"]:
@@ -266,9 +268,9 @@ def _columns(matrices: Float[Tensor, "*some 3 3"]) -> Float[Tensor, "*some 6"]:
     return matrices[..., :2].transpose(-1, -2).flatten(-2)
 
 
-def _angles(found: Float[Tensor, "*some 3 3"], true: Float[Tensor, "*some 3 3"]) -> Float[Tensor, "*some"]:
+def _angles(predicted: Float[Tensor, "*some 3 3"], true: Float[Tensor, "*some 3 3"]) -> Float[Tensor, "*some"]:
     """Radians between rotations."""
-    cosine = ((found * true).sum(dim=(-1, -2)) - 1) / 2
+    cosine = ((predicted * true).sum(dim=(-1, -2)) - 1) / 2
     return cosine.clamp(-1 + 1e-6, 1 - 1e-6).acos()
 
 

@@ -77,9 +77,9 @@ class T2mAutoencoder(PeerNetwork):
         rows, counts = whole_snippets(batch)
         mask = frames_within(counts, rows.shape[1] // SNIPPET)
         snippets = self.encode(rows)
-        made = self.decoder(snippets)
+        decoded = self.decoder(snippets)
         frame_mask = mask.repeat_interleave(SNIPPET, dim=1)
-        frames = l1_loss(made[frame_mask], rows[frame_mask])
+        frames = l1_loss(decoded[frame_mask], rows[frame_mask])
         sizes = snippets[mask].abs().mean()
         pairs = mask[:, 1:]
         changes = (snippets[:, 1:] - snippets[:, :-1]).abs().mean(dim=-1)[pairs].sum() / pairs.sum().clamp(min=1)
@@ -178,7 +178,7 @@ class T2m(PeerNetwork):
         zeros = noise.new_zeros(len(noise), SNIPPET, self.frames_out.out.out_features)
         with torch.no_grad():
             previous = self.autoencoder[0].encode(zeros)[:, 0]
-        made, divergence = [], []
+        snippets, divergence = [], []
         for step in range(noise.shape[1]):
             left, inputs = (counts - step).clamp(min=0), torch.cat((previous, value), dim=1)
             prior_state = self.prior(inputs, left, prior_state)
@@ -189,11 +189,11 @@ class T2m(PeerNetwork):
             latent = mean + (0.5 * log_variance).exp() * noise[:, step]
             state = self.decoder(torch.cat((inputs, latent), dim=1), left, state)
             previous = self.snippet_out(state)
-            made.append(previous)
+            snippets.append(previous)
             divergence.append(kl_between((mean, log_variance), prior).sum(dim=1))
             if forced and truth is not None:
                 previous = truth[:, step]
-        return torch.stack(made, dim=1), torch.stack(divergence, dim=1)
+        return torch.stack(snippets, dim=1), torch.stack(divergence, dim=1)
 
     def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
         """Smooth L1 of frames and snippets, and KL of posterior and prior, over the snippets of the curriculum."""
@@ -232,7 +232,7 @@ def kl_between(one: tuple[Tensor, Tensor], other: tuple[Tensor, Tensor]) -> Floa
     return 0.5 * (other[1] - one[1] + spread / other[1].exp() - 1)
 
 
-IN_24 = MotionsConfig(seen="stretch", seen_frames=24)
+IN_24 = MotionsConfig(sampled_frames=24)
 T2M_AUTOENCODER = PeerStage(
     AUTOENCODER,
     "T2M, stage 1: snippets of four frames",

@@ -58,17 +58,17 @@ class TsFormer(nn.Module):
         times, gap = torch.cat((window.times_seconds, instants), dim=1), longest_gap(window)
         positions = (times - window.times_seconds[:, :1]) * self.frames_per_second
         ends = torch.stack((times - gap.before_seconds[:, None], gap.after_seconds[:, None] - times), dim=-1)
-        seen = torch.ones_like(window.times_seconds, dtype=torch.bool)
+        observed = torch.ones_like(window.times_seconds, dtype=torch.bool)
 
         # Zeros, with the root on straight lines between observed frames.
-        near = neighbours(window.asked(instants))
+        near = neighbours(window.at(instants))
         lines = near.mixed(gathered(window.frames, near.rows))
         placeholders = lines * (torch.arange(lines.shape[-1], device=lines.device) < ROOT_NUMBERS)
         entered = _marked(torch.cat((window.frames, placeholders), dim=1), given)
         keyframe_positions = self.keyframe_position(ends * self.frames_per_second)
-        draft = self.context(entered, positions, seen, added=keyframe_positions)[:, given:]
+        draft = self.context(entered, positions, observed, added=keyframe_positions)[:, given:]
         entered = _marked(torch.cat((window.frames, draft), dim=1), given)
-        refined = self.detail(entered, positions, torch.cat((seen, on_grid), dim=1))[:, given:]
+        refined = self.detail(entered, positions, torch.cat((observed, on_grid), dim=1))[:, given:]
         outputs: Tensor = (draft + refined)[:, grid.shape[1] :]
         return outputs
 

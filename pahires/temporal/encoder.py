@@ -115,21 +115,21 @@ class NetworkEncoder:
         ]
         if len(first) > self.window_frames:
             return [field.query(times_seconds) for field in fields]
-        asked = fields[0].within_reach(times_seconds)
-        made: list[Poses] = []
+        times = fields[0].within_reach(times_seconds)
+        poses: list[Poses] = []
         for start in range(0, len(fields), MOTIONS_AT_ONCE):
             some = fields[start : start + MOTIONS_AT_ONCE]
             rows = np.stack([field.rows.vectors for field in some])
-            vectors = self.answers(rows, np.tile(first.times_seconds, (len(some), 1)), np.tile(asked, (len(some), 1)))
-            made += [field.poses_of(times_seconds, answer) for field, answer in zip(some, vectors, strict=True)]
-        return made
+            vectors = self.vectors(rows, np.tile(first.times_seconds, (len(some), 1)), np.tile(times, (len(some), 1)))
+            poses += [field.poses_of(times_seconds, answer) for field, answer in zip(some, vectors, strict=True)]
+        return poses
 
     @torch.no_grad()
-    def answers(
+    def vectors(
         self,
         rows: Float32[np.ndarray, "batch frames numbers"],
         observed_seconds: Float64[np.ndarray, "batch frames"],
-        asked_seconds: Float64[np.ndarray, "batch queries"],
+        query_seconds: Float64[np.ndarray, "batch queries"],
     ) -> Float32[np.ndarray, "batch queries numbers"]:
         """World rows at instants of windows, each evaluated in its own frame."""
         trained = self.trained
@@ -137,13 +137,13 @@ class NetworkEncoder:
         scaling = trained.predictor.scaling
         device = scaling.mean.device
         start = observed_seconds[:, :1]
-        asked = ObservedWindow(
+        window = ObservedWindow(
             frames=scaling.apply(torch.from_numpy(placed.to_window(rows)).to(device)),
             times_seconds=torch.from_numpy((observed_seconds - start).astype(np.float32)).to(device),
-            queries_seconds=torch.from_numpy((asked_seconds - start).astype(np.float32)).to(device),
+            queries_seconds=torch.from_numpy((query_seconds - start).astype(np.float32)).to(device),
             query_spacing_seconds=torch.full((len(rows),), trained.spacing_seconds, device=device),
         )
-        return placed.to_world(scaling.invert(trained.predictor.smooth(asked)).cpu().numpy())
+        return placed.to_world(scaling.invert(trained.predictor.smooth(window)).cpu().numpy())
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,10 +181,10 @@ class NetworkField:
         times_seconds = self.within_reach(times_seconds)
         window, fade = self._windows_of(times_seconds)
         fading = np.flatnonzero(fade > 0)
-        answers = self._ask(
+        rows = self._in_windows(
             np.concatenate((window, window[fading] + 1)), np.concatenate((times_seconds, times_seconds[fading]))
         )
-        vectors, following = answers[: len(window)], answers[len(window) :]
+        vectors, following = rows[: len(window)], rows[len(window) :]
         weight = fade[fading, None].astype(np.float32)
         vectors[fading] += weight * (following - vectors[fading])
         return vectors
@@ -212,9 +212,9 @@ class NetworkField:
         u = np.clip(u, 0.0, 1.0)
         return window.astype(np.int64), u**3 * (u * (6.0 * u - 15.0) + 10.0)
 
-    def _ask(
-        self, window: Int64[np.ndarray, "asked"], times: Float64[np.ndarray, "asked"]
-    ) -> Float32[np.ndarray, "asked numbers"]:
+    def _in_windows(
+        self, window: Int64[np.ndarray, "queries"], times: Float64[np.ndarray, "queries"]
+    ) -> Float32[np.ndarray, "queries numbers"]:
         """Rows at times, each in its given window; windows are batched, with bounded memory."""
         order = np.lexsort((times, window))
         window, times = window[order], times[order]
@@ -229,15 +229,15 @@ class NetworkField:
             columns = np.arange(int((ends - starts).max()))
             index = np.minimum(starts[:, None] + columns, ends[:, None] - 1)
             real = starts[:, None] + columns < ends[:, None]
-            result[order[index[real]]] = self._answers(window[starts], times[index])[real]
+            result[order[index[real]]] = self._vectors_of(window[starts], times[index])[real]
         return result
 
-    def _answers(
+    def _vectors_of(
         self, windows: Int64[np.ndarray, "batch"], times: Float64[np.ndarray, "batch queries"]
     ) -> Float32[np.ndarray, "batch queries numbers"]:
         count = min(len(self.observation), self.encoder.window_frames)
         frames = self.window_starts[windows][:, None] + np.arange(count)
-        return self.encoder.answers(self.rows.vectors[frames], self.observation.times_seconds[frames], times)
+        return self.encoder.vectors(self.rows.vectors[frames], self.observation.times_seconds[frames], times)
 
     def poses_of(self, times: Float64[np.ndarray, "times"], vectors: Float32[np.ndarray, "times numbers"]) -> Poses:
         """World rows at these times as poses of the observed body."""

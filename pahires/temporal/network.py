@@ -26,7 +26,7 @@ class ObservedWindow:
     queries_seconds: Float32[torch.Tensor, "batch queries"]
     query_spacing_seconds: Float32[torch.Tensor, "batch"]
 
-    def asked(self, queries_seconds: Float32[torch.Tensor, "batch queries"]) -> "ObservedWindow":
+    def at(self, queries_seconds: Float32[torch.Tensor, "batch queries"]) -> "ObservedWindow":
         """The same windows with other query instants."""
         return replace(self, queries_seconds=queries_seconds)
 

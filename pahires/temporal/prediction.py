@@ -109,7 +109,7 @@ class Predictor:
             return self(window)
         base, averaged = self._averaged(window)
         if self.answer.form == "exact":
-            _, left = self._averaged(window.asked(window.times_seconds))
+            _, left = self._averaged(window.at(window.times_seconds))
             averaged = averaged - interpolated(replace(window, frames=left), "eased", self.scaling)
         return base + averaged
 
@@ -127,7 +127,7 @@ class Predictor:
         """The interpolation at the queries, and what is added to it."""
         apart = window.times_seconds.diff(dim=1).median(dim=1, keepdim=True).values / 4.0
         here = window.queries_seconds
-        three = window.asked(torch.cat((here - apart, here, here + apart), dim=1))
+        three = window.at(torch.cat((here - apart, here, here + apart), dim=1))
         bases = interpolated(three, self.answer.base, self.scaling)
         before, middle, after = self._correction(three, bases).chunk(3, dim=1)
         return bases.chunk(3, dim=1)[1], 0.25 * before + 0.5 * middle + 0.25 * after

@@ -92,10 +92,10 @@ class TemporalSystem:
         if not folder.model_path.is_file():
             folder.read_summary()
         tensors, description = load_tensors(folder.model_path)
-        found = tuple(description.get(key) for key in ("format", "version", "stage"))
-        if found != (FORMAT, FORMAT_VERSION, self.name):
+        kind = tuple(description.get(key) for key in ("format", "version", "stage"))
+        if kind != (FORMAT, FORMAT_VERSION, self.name):
             raise CheckpointError(
-                f"{folder.model_path} is {found}, expected {(FORMAT, FORMAT_VERSION, self.name)}: train it again "
+                f"{folder.model_path} is {kind}, expected {(FORMAT, FORMAT_VERSION, self.name)}: train it again "
                 f"(motionkit train --stage {self.name} --overwrite)"
             )
         with rebuilding(folder.model_path, self.name):

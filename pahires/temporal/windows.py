@@ -1,6 +1,6 @@
 """Training windows for temporal networks: observed frames and queries, drawn per task.
 
-All are pure functions of a numpy generator. `observed` ascends from 0; `asked` are consecutive frames, so that
+All are pure functions of a numpy generator. `observed` ascends from 0; `queried` are consecutive frames, so that
 velocities can be compared.
 """
 
@@ -26,23 +26,23 @@ TASKS: tuple[Task, ...] = ("interpolate", "gap", "scattered", "extend")
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Frames of B windows: `observed` [B, N] and `asked` (queried) [B, Q], counted from the first observed one.
+    """Frames of B windows: `observed` [B, N] and `queried` [B, Q], counted from the first observed one.
 
     A window spans all of them: `before` frames before the first observed one, `span` from there on.
     """
 
     observed: Int64[np.ndarray, "batch frames"]
-    asked: Int64[np.ndarray, "batch queries"]
+    queried: Int64[np.ndarray, "batch queries"]
 
     @property
     def before(self) -> Int64[np.ndarray, "batch"]:
         """Frames that a window needs before its first observed one."""
-        return np.asarray(np.maximum(0, -self.asked[:, 0]))
+        return np.asarray(np.maximum(0, -self.queried[:, 0]))
 
     @property
     def span(self) -> Int64[np.ndarray, "batch"]:
         """Total frames of a window."""
-        return np.asarray(self.before + np.maximum(self.observed[:, -1], self.asked[:, -1]) + 1)
+        return np.asarray(self.before + np.maximum(self.observed[:, -1], self.queried[:, -1]) + 1)
 
 
 def draw_task(rng: np.random.Generator, settings: TaskSettings) -> Task:
@@ -52,7 +52,7 @@ def draw_task(rng: np.random.Generator, settings: TaskSettings) -> Task:
 
 
 def draw_layout(task: Task, rng: np.random.Generator, batch: int, settings: TaskSettings) -> Layout:
-    """The layout of a batch of windows; all have the same numbers of observed and of asked frames."""
+    """The layout of a batch of windows; all have the same numbers of observed and of queried frames."""
     return _DRAW[task](rng, batch, settings)
 
 
@@ -76,8 +76,8 @@ def _gap(rng: np.random.Generator, batch: int, settings: TaskSettings) -> Layout
     ahead = np.broadcast_to(np.arange(past), (batch, past))
     after = past + missing[:, None] + np.arange(future)
     # The last given frame before the gap and the first after it are queried too, for a continuous transition.
-    asked = _run_inside(rng, np.full(batch, past - 1), past + missing, settings.num_queries)
-    return Layout(np.concatenate((ahead, after), axis=1), asked)
+    queried = _run_inside(rng, np.full(batch, past - 1), past + missing, settings.num_queries)
+    return Layout(np.concatenate((ahead, after), axis=1), queried)
 
 
 def _scattered(rng: np.random.Generator, batch: int, settings: TaskSettings) -> Layout:
@@ -159,7 +159,7 @@ class WindowSampler:
         room = self.takes.keep_every[take]
         stride = rng.integers(1, room + 1) if self.settings.finer else room
         native = first * room + rng.integers(0, layout.span * (room - stride) + stride) + layout.before * stride
-        frames = np.concatenate((layout.observed, layout.asked), axis=1)
+        frames = np.concatenate((layout.observed, layout.queried), axis=1)
         rows = self.takes.read(take, native, stride, frames)
         if self.settings.mirrored:
             flip: Bool[np.ndarray, batch] = rng.random(batch) < 0.5
@@ -169,12 +169,12 @@ class WindowSampler:
 
     def measure(self, rng: np.random.Generator) -> VectorScaling:
         """The scale of rows in their windows' frames, from a few thousand windows of all tasks, by their shares."""
-        found = []
+        rows = []
         for _ in range(DRAWS_TO_MEASURE):
             raw = self.draw(rng, self.task(rng), WINDOWS_PER_DRAW)
             frames = WindowFrames.of(raw.observed, self.takes.skeleton)
-            found.append(frames.to_window(np.concatenate((raw.observed[:, ::4], raw.targets[:, ::4]), axis=1)))
-        return measure_scaling(np.concatenate([rows.reshape(-1, rows.shape[-1]) for rows in found]))
+            rows.append(frames.to_window(np.concatenate((raw.observed[:, ::4], raw.targets[:, ::4]), axis=1)))
+        return measure_scaling(np.concatenate([each.reshape(-1, each.shape[-1]) for each in rows]))
 
     def batch(self, rng: np.random.Generator, scaling: VectorScaling) -> TrainingBatch:
         """A batch of one task, in the windows' frames, standardised."""
@@ -188,7 +188,7 @@ class WindowSampler:
         window = ObservedWindow(
             frames=scaling.apply(torch.from_numpy(frames.to_window(raw.observed))),
             times_seconds=torch.from_numpy((raw.layout.observed * step[:, None]).astype(np.float32)),
-            queries_seconds=torch.from_numpy((raw.layout.asked * step[:, None]).astype(np.float32)),
+            queries_seconds=torch.from_numpy((raw.layout.queried * step[:, None]).astype(np.float32)),
             query_spacing_seconds=torch.from_numpy(step.astype(np.float32)),
         )
         return TrainingBatch(window, scaling.apply(torch.from_numpy(frames.to_window(raw.targets))), task)

@@ -54,15 +54,15 @@ def tiny_config(name: str, **changed: Any) -> Any:
     """A stage's configuration, small; parts may be given."""
     stage = STAGES[name]
     published = stage.paper.motions
-    seen = {"camdm": 16, "jl2p": 15, "hier": 15}.get(name, published.seen_frames)
+    frames = {"camdm": 16, "jl2p": 15, "hier": 15}.get(name, published.sampled_frames)
     parts = {
         "network": NETWORKS.get(name) or replace(stage.paper.network, transformer=SIZES),
         "motions": replace(
             MOTIONS,
             pose_vectors=published.pose_vectors,
             crops=published.crops,
-            seen=published.seen,
-            seen_frames=seen,
+            scattered=published.scattered,
+            sampled_frames=frames,
         ),
         "conditions": ConditionsConfig(kind="none") if name in UNCONDITIONAL else ACTIONS,
         "schedule": SCHEDULE,

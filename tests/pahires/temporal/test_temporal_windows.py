@@ -33,10 +33,10 @@ def test_layouts_ascend_and_ask_for_neighbouring_frames(task: str, seed: int) ->
     settings = TaskSettings()
     layout = draw_layout(task, np.random.default_rng(seed), 9, settings)  # type: ignore[arg-type]
     assert (np.diff(layout.observed, axis=1) > 0).all() and (layout.observed[:, 0] == 0).all()
-    assert (np.diff(layout.asked, axis=1) == 1).all() and 2 <= layout.asked.shape[1] <= settings.num_queries
-    inside = (layout.asked >= 0) & (layout.asked <= layout.observed[:, -1:])
+    assert (np.diff(layout.queried, axis=1) == 1).all() and 2 <= layout.queried.shape[1] <= settings.num_queries
+    inside = (layout.queried >= 0) & (layout.queried <= layout.observed[:, -1:])
     if task == "extend":
-        beyond = np.maximum(-layout.asked, layout.asked - layout.observed[:, -1:])
+        beyond = np.maximum(-layout.queried, layout.queried - layout.observed[:, -1:])
         assert (beyond >= 0).all() and (beyond <= settings.longest_reach).all()
     else:
         assert inside.all()
