@@ -225,7 +225,7 @@ def named_samples(pairs: list[str], run: Path | None = None) -> dict[str, Path]:
 def _build(config: "EvalConfig", table: "Table", as_json: bool) -> "Result":
     """Build a table, write it, and print it unless `as_json`."""
     from eval.report.render import to_markdown
-    from eval.report.results import format_cell, write_result
+    from eval.report.results import write_result
     from motionkit.cli.console import print_table
 
     if config.samples and not table.takes_samples:
@@ -251,10 +251,7 @@ def _build(config: "EvalConfig", table: "Table", as_json: bool) -> "Result":
         stdout.print(line, soft_wrap=False)
     for block in result.blocks:
         stdout.print(f"\n{block.title}")
-        cells = [
-            [format_cell(row.cells.get(key), row.origin == "paper") for key in block.columns] for row in block.rows
-        ]
-        print_table(block.columns, [(row.name, texts) for row, texts in zip(block.rows, cells, strict=True)])
+        print_table(block.columns, block.texts())
     return result
 
 

@@ -3,7 +3,7 @@
 import base64
 import csv
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from eval.report.results import Block, Measure, Result, best_in_column, format_cell, format_number
@@ -27,12 +27,55 @@ LATEX = str.maketrans(
 
 def to_markdown(result: Result) -> str:
     """The whole result as Markdown."""
-    return _environment().get_template("table.md.j2").render(result=result)
+    found = [f"# {result.title}", result.caption]
+    found += [f"![{result.title}]({result.figure})"] if result.figure else []
+    for block in result.blocks:
+        found += [f"## {block.title}", _markdown_table(block.columns, block.texts())]
+        measures = dict.fromkeys(map(format_measure, block.metrics))
+        notes = [f"- {row.name}: {row.note}" for row in block.rows if row.note]
+        found += filter(None, [block.note, ". ".join(measures) + "." if measures else "", "\n".join(notes)])
+        details = detail_tables(block)
+        found += ["<details><summary>Further metrics</summary>"] if details else []
+        for table in details:
+            numbers = [
+                (row.name, [format_number(values[column]) if column in values else "–" for column in table["columns"]])
+                for row, values in table["rows"]
+            ]
+            found += [table["name"], _markdown_table(table["columns"], numbers)]
+        found += ["</details>"] if details else []
+    for heading, lines in (("Not in this table:", result.missing), ("Notes:", result.notes)):
+        found += [heading, "\n".join(f"- {line}" for line in lines)] if lines else []
+    return "\n\n".join([*found, f"{result.task}, version {result.version}."]) + "\n"
+
+
+def _markdown_table(columns: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> str:
+    def line(name: str, texts: Iterable[str]) -> str:
+        return f"| {name} |{''.join(f' {text} |' for text in texts)}"
+
+    head = [line("", (column.replace("|", "\\|") for column in columns)).replace("|  |", "| |", 1)]
+    head.append("|---|" + "---|" * len(columns))
+    return "\n".join([*head, *(line(name.replace("|", "\\|"), texts) for name, texts in rows)])
 
 
 def to_latex(result: Result) -> str:
     """One LaTeX table per block (booktabs)."""
-    return _environment(latex=True).get_template("table.tex.j2").render(result=result)
+    lines = [f"% {_tex(result.title)} ({result.task}, version {result.version})"]
+    for block in result.blocks:
+        lines += [
+            r"\begin{table}",
+            rf"\caption{{{_tex(result.caption)} {_tex(block.title)}.}}",
+            rf"\begin{{tabular}}{{l{'r' * len(block.columns)}}}",
+            r"\toprule",
+            rf" & {' & '.join(map(_tex, block.columns))} \\",
+            r"\midrule",
+            *(rf"{' & '.join(map(_tex, (name, *texts)))} \\" for name, texts in block.texts()),
+            *(r"\bottomrule", r"\end{tabular}", r"\end{table}"),
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _tex(text: str) -> str:
+    return text.translate(LATEX)
 
 
 def to_html(
@@ -45,13 +88,13 @@ def to_html(
 
     `cards` are articles, as HTML, in front; `figures` are placed in the results with these indices.
     """
-    page = _environment(html=True).get_template("report.html.j2")
+    page = _environment().get_template("report.html.j2")
     return page.render(results=results, title=title, cards=cards, figures=figures)
 
 
 def card(template: str, **values: Any) -> str:
     """An article in front of a page's results, from a template of this folder."""
-    return _environment(html=True).get_template(template).render(values)
+    return _environment().get_template(template).render(values)
 
 
 def picture(figure: "Figure") -> str:
@@ -110,12 +153,12 @@ def detail_tables(block: Block) -> list[dict[str, Any]]:
     return tables
 
 
-def _environment(*, html: bool = False, latex: bool = False) -> "Environment":
+def _environment() -> "Environment":
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
         loader=PackageLoader("eval.report"),
-        autoescape=html,
+        autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -129,12 +172,6 @@ def _environment(*, html: bool = False, latex: bool = False) -> "Environment":
         "best": best_in_column,
         "picture": picture,
         "origin": origin_line,
-        "tex": lambda text: str(text).translate(LATEX),
-        "md": lambda text: str(text).replace("|", "\\|"),
     }
     environment.filters.update(filters)
-    if latex:
-        environment.block_start_string, environment.block_end_string = "<%", "%>"
-        environment.variable_start_string, environment.variable_end_string = "<<", ">>"
-        environment.comment_start_string, environment.comment_end_string = "<#", "#>"
     return environment

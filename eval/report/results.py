@@ -144,6 +144,13 @@ class Block:
     metrics: tuple[Measure, ...] = ()
     differences_of: str = ""
 
+    def texts(self) -> list[tuple[str, list[str]]]:
+        """The rows as they are shown: a name, and the text of each column."""
+        return [
+            (row.name, [format_cell(row.cells.get(column), row.origin == "paper") for column in self.columns])
+            for row in self.rows
+        ]
+
 
 @dataclass(frozen=True)
 class Result:
@@ -168,10 +175,7 @@ class Result:
         """The tables' numbers, for notebooks."""
         found = [f"<h3>{escape(self.title)}</h3><p>{escape(self.caption)}</p>"]
         for block in self.blocks:
-            lines = [("", *block.columns)]
-            for row in block.rows:
-                cells = (format_cell(row.cells.get(column), row.origin == "paper") for column in block.columns)
-                lines.append((row.name, *cells))
+            lines = [("", *block.columns), *((name, *texts) for name, texts in block.texts())]
             table = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in line)}</tr>" for line in lines)
             found.append(f"<h4>{escape(block.title)}</h4><table>{table}</table>")
         return "".join(found)
