@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from eval.tables.reconstruction import window_truth
-from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.skeleton import SMPL22
@@ -106,21 +105,6 @@ class TestNative:
 
 
 class TestRotations:
-    def test_decoded_poses_have_the_rotations_that_were_captured(self, store: Store) -> None:
-        _, poses = _opened(store, "rotations")
-        vectors = poses.frames.vectors
-        motion = store.read("m0")
-        batch = poses.at_frames(np.array([0]), np.arange(50)[None])
-        seconds = np.arange(50) / 60
-        decoded = vectors.decode(batch.vectors[0], seconds, seconds)
-        assert decoded.local_rotations is not None
-        assert motion.local_rotations is not None
-        dot = np.abs(np.sum(decoded.local_rotations[:, 1:] * motion.local_rotations[:50, 1:], axis=-1))
-        np.testing.assert_allclose(dot, 1.0, atol=1e-5)
-        assert decoded.root_translation is not None
-        made = kinematics.forward_kinematics(decoded.local_rotations, decoded.root_translation, vectors.skeleton)
-        np.testing.assert_allclose(made, decoded.joint_positions, atol=1e-5)
-
     def test_a_store_without_rotations_is_reported(self, store: Store) -> None:
         with pytest.raises(UsageError):
             with_rotations(store, "sequence_id = 'bare'")

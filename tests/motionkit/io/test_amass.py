@@ -28,7 +28,7 @@ from tests.helpers.amass_samples import (
 )
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.refusal import refusal
-from tests.motionkit.io.test_retargeting import directions
+from tests.motionkit.io.test_character import directions
 
 
 @pytest.mark.parametrize("compressed", [False, True])

@@ -11,11 +11,9 @@ from motionkit.edit.export import Selection, export, export_kinds
 from motionkit.features import humanml3d
 from motionkit.io.amass import read_amass
 from motionkit.io.registry import IndexOptions, ReadOptions, SourceItem
-from motionkit.io.scan import read, scan
-from motionkit.io.smpl_body import LAYOUTS, find_body_model
 from motionkit.store import Store
 from motionkit.store.ingest import ingest
-from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass, write_body_model
+from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 # The store keeps numbers on a grid of 2^-22.
@@ -133,23 +131,6 @@ def test_published_clips_exported_are_the_published_folder(amass, stores, tmp_pa
         assert written.shape == (end - start - 1, 263)
         np.testing.assert_allclose(written, vectors, atol=2e-5)
         assert (tmp_path / f"out/new_joints/M{number:06}.npy").is_file()
-
-
-@pytest.mark.parametrize(("gender", "taken"), [("male", "male"), ("female", "female"), ("neutral", "female")])
-def test_published_bodies_have_ten_betas_and_two_genders(tmp_path, gender, taken):
-    layout = LAYOUTS["smplh"]
-    for seed, name in enumerate(("MALE", "FEMALE", "NEUTRAL")):
-        write_body_model(tmp_path / f"models/SMPLH_{name}.npz", layout, seed, posedirs=np.zeros(1))
-    betas = np.linspace(-2, 2, 16)
-    write_amass(tmp_path / "amass/KIT/3/a_poses.npz", smplh_fields(40, gender=np.array(gender), betas=betas))
-    (tmp_path / "index.csv").write_text(HEADER + "./pose_data/KIT/3/a_poses.npy,0,4,000000.npy\n")
-    for published, model_gender, num_betas in ((True, taken, 10), (False, gender, 16)):
-        index = IndexOptions((tmp_path / "index.csv",), published=published)
-        options = ReadOptions(index=index, body_models=tmp_path / "models")
-        motion = read(scan([tmp_path / "amass"], options).items[0], options)
-        rest = find_body_model(tmp_path / "models", layout, model_gender).rest_joints(betas[:num_betas])
-        assert motion.skeleton.name == f"smplh-{model_gender}"
-        np.testing.assert_allclose(motion.skeleton.offsets[1:], (rest - rest[list(layout.parents)])[1:], atol=1e-6)
 
 
 def test_what_a_table_says_that_the_source_stated_decides_the_step(tmp_path):
