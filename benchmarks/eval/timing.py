@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.command import arguments_parser
 from eval.detail import RealDetail
-from eval.sets.damage import damages
+from eval.sets.damage import FAMILIES
 from eval.sets.motions import real_motion
 from motionkit.store import Store
 
@@ -25,7 +25,7 @@ def main() -> None:
     parser.add_argument("--fps", type=Fraction, nargs="+", default=[Fraction(60), Fraction(120)])
     arguments = parser.parse_args()
     store = Store.open(arguments.store)
-    families = {family.name: family for family in damages() if family.name in LEVELS}
+    families = {family.name: family for family in FAMILIES if family.name in LEVELS}
     for fps in arguments.fps:
         train = real_motion(store, "train").at(fps)
         tested = f"SELECT DISTINCT source FROM sequences WHERE split = 'test' AND fps >= {float(fps)} ORDER BY source"
@@ -39,7 +39,7 @@ def main() -> None:
                 cells = []
                 for level in (level for level in LEVELS[name] if level < fps):
                     rng = np.random.default_rng(0)
-                    moved = [family.corrupt(motion[None], float(fps), level, rng)[0] for motion in real.sequences]
+                    moved = [family.corrupt(motion, float(fps), level, rng) for motion in real.sequences]
                     timing = detail.profile(real.with_positions(name, fps, moved)).timing
                     cells.append(f"{level:g} {family.unit}: {timing.value:.2f}{'' if timing.is_real else '*'}")
                 print(f"{name:17} {', '.join(cells)}")

@@ -1,8 +1,7 @@
 """Damage of motion: graded corruptions, harmless transforms, and games, which hide damage from the figures.
 
-An evaluator is calibrated with them: its clip-FID must rise with every family and stay flat under the transforms. The
-learned evaluator is trained to regress the strength of some. These act on joint positions [..., frames, joints, 3] in
-metres, y up, with one strength for all or one per clip, and preserve the dtype.
+An evaluator is calibrated with them: its clip-FID must rise with every family and stay flat under the transforms. They
+act on one take of joint positions [frames, joints, 3] in metres, y up, and keep its dtype.
 
 A game adds something to upsampled or low-passed motion: noise, at any time or at the right one, to positions or to
 rotations, or the fast motion of other takes. It is won if no figure of clip-FID and the detail profile sees it.
@@ -10,189 +9,200 @@ rotations, or the fast motion of other takes. It is won if no figure of clip-FID
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
-import scipy.interpolate
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from eval.sets.motions import filtered, low_pass
 from eval.sets.sets import SampleSet
 from motionkit.core.shapes import Float, Float64
-from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeleton import SMPL22
 from motionkit.features import field
 
-Array = npt.NDArray[np.floating]
-Strength = float | Float64[np.ndarray, "*batch"]
+Take = npt.NDArray[np.floating]
+Noise = npt.NDArray[np.float64]
+Damage = Callable[[Take, float, float, np.random.Generator], Take]
+"""Changes a take at a framerate by a strength."""
 
+FEET = [SMPL22.index(name) for name in ("left_ankle", "right_ankle", "left_foot", "right_foot")]
 SHIFT_REACH_FRAMES = 64
-FEET = [7, 8, 10, 11]
 KAISER_BETA = 7.857
 """80 dB of attenuation beside the passband (Kaiser's formula, 0.1102 · (80 − 8.7))."""
 
 
+def upsample_linear(take: Take, fps: float, kept_fps: float, rng: np.random.Generator) -> Take:
+    """Keep only the poses at `kept_fps` frames a second and interpolate joint positions linearly between them.
+
+    The phase of the kept poses is random; the first and last pose are kept too. Poses between two frames are read from
+    a Catmull-Rom spline.
+    """
+    before, after, fraction = _kept_poses(take, fps, kept_fps, rng)
+    u = fraction[:, None, None]
+    return ((1 - u) * before + u * after).astype(take.dtype)
+
+
+def upsample_slerp(take: Take, fps: float, kept_fps: float, rng: np.random.Generator) -> Take:
+    """Keep only the poses at `kept_fps` and turn every bone along the great circle between them; the root is linear.
+
+    Positions carry no twist, so each bone's direction is slerped in the world and its length interpolated: bones stay
+    rigid, as under SLERP of joint rotations (Shoemake 1985). Kept poses as in `upsample_linear`.
+    """
+    before, after, fraction = _kept_poses(take, fps, kept_fps, rng)
+    u, parents = fraction[:, None], np.array(SMPL22.parents[1:])
+    bones = _slerp(before[:, 1:] - before[:, parents], after[:, 1:] - after[:, parents], u[..., None])
+    result = np.empty_like(before)
+    result[:, 0] = (1 - u) * before[:, 0] + u * after[:, 0]
+    for joint, parent in enumerate(parents.tolist(), start=1):
+        result[:, joint] = result[:, parent] + bones[:, joint - 1]
+    return result.astype(take.dtype)
+
+
+def _kept_poses(take: Take, fps: float, kept_fps: float, rng: np.random.Generator) -> tuple[Noise, Noise, Noise]:
+    """The kept poses before and after every frame, and the frame's position between them (0 … 1)."""
+    frames, last = np.arange(len(take)), len(take) - 1
+    spacing = max(fps / kept_fps, 1.0)
+    # At a spacing of one frame every pose is kept, so the kept ones must fall on the frames.
+    phase = spacing * rng.uniform() * (spacing > 1.0)
+    left = phase + np.floor((frames - phase) / spacing) * spacing
+    before, after = np.clip(left, 0, last), np.clip(left + spacing, 0, last)
+    gap = np.where(after > before, after - before, 1.0)
+    motion = take.astype(np.float64)
+    if not last:
+        return motion, motion, frames / gap
+    poses = CubicHermiteSpline(frames, motion, np.gradient(motion, axis=0))
+    return poses(before), poses(after), (frames - before) / gap
+
+
+def _slerp(before: Noise, after: Noise, u: Noise) -> Noise:
+    """Vectors between two: directions along the great circle, lengths linear; opposite vectors go linearly."""
+    lengths = [np.linalg.norm(bones, axis=-1, keepdims=True) for bones in (before, after)]
+    start, end = (bones / np.maximum(length, 1e-12) for bones, length in zip((before, after), lengths, strict=True))
+    angle = np.arccos(np.clip(np.sum(start * end, axis=-1, keepdims=True), -1.0, 1.0))
+    sine = np.sin(angle)
+    straight = sine < 1e-6
+    safe = np.where(straight, 1.0, sine)
+    first = np.where(straight, 1 - u, np.sin((1 - u) * angle) / safe)
+    second = np.where(straight, u, np.sin(u * angle) / safe)
+    turned: Noise = (first * start + second * end) * ((1 - u) * lengths[0] + u * lengths[1])
+    return turned
+
+
+def upsample_cubic(take: Take, fps: float, kept_fps: float, rng: np.random.Generator) -> Take:
+    """Keep only the poses at so many frames a second, and read the others from a cubic spline through them."""
+    spacing, last = max(fps / kept_fps, 1.0), len(take) - 1
+    if last < 1:
+        return take.copy()
+    phase = spacing * rng.uniform() * (spacing > 1.0)
+    knots, frames = np.unique(np.concatenate(([0.0], np.arange(phase, last, spacing), [last]))), np.arange(last + 1)
+    poses = CubicSpline(frames, take.astype(np.float64))(knots)
+    return np.asarray(CubicSpline(knots, poses)(frames), dtype=take.dtype)
+
+
+def slide(take: Take, fps: float, metres_per_second: float, rng: np.random.Generator) -> Take:
+    """Let the whole body drift horizontally at a constant speed in a random direction: planted feet slide."""
+    direction = rng.uniform(0, 2 * np.pi)
+    step = metres_per_second / fps * np.array([np.sin(direction), 0.0, np.cos(direction)])
+    return (take + np.arange(len(take))[:, None, None] * step).astype(take.dtype)
+
+
+def jitter(take: Take, fps: float, metres: float, rng: np.random.Generator) -> Take:
+    """Add independent Gaussian noise to every joint, axis and frame; `metres` is its standard deviation."""
+    return (take + metres * rng.standard_normal(take.shape)).astype(take.dtype)
+
+
+def _low_pass(take: Take, fps: float, cutoff_hz: float, rng: np.random.Generator) -> Take:
+    return low_pass(take, fps, cutoff_hz)
+
+
+def _lower(take: Take, fps: float, metres: float, rng: np.random.Generator) -> Take:
+    """Sink the whole body."""
+    return (take - metres * np.array([0.0, 1.0, 0.0])).astype(take.dtype)
+
+
+def _reverse(take: Take, fps: float, strength: float, rng: np.random.Generator) -> Take:
+    """Play the motion backwards."""
+    return take[::-1].copy()
+
+
+def _freeze_feet(take: Take, fps: float, share: float, rng: np.random.Generator) -> Take:
+    """Bring ankles and toes so far towards their mean places beside the root: with 1 they do not move beside it."""
+    result = take.astype(np.float64)
+    beside = result[:, FEET] - result[:, :1]
+    result[:, FEET] += share * (beside.mean(axis=0) - beside)
+    return result.astype(take.dtype)
+
+
+def _pop(take: Take, fps: float, metres: float, rng: np.random.Generator) -> Take:
+    """Displace one joint for one frame, about once a second, by so many metres in a random direction."""
+    result, num_joints = take.astype(np.float64), take.shape[1]
+    frames = np.flatnonzero(rng.random(len(take)) < 1.0 / fps)
+    direction = rng.standard_normal((len(frames), 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    result[frames, rng.integers(num_joints, size=len(frames))] += metres * direction
+    return result.astype(take.dtype)
+
+
 @dataclass(frozen=True)
 class Family:
-    """A family of corruptions, graded from `mildest` to `severest` strength.
+    """A family of damage, with the calibration's strengths from mild to severe.
 
-    `kind`: an "amplitude" is worse the larger (metres, metres per second); a "rate" is worse the smaller (frames per
-    second kept, cut-off in Hz) and harmless from `fps × clean_at` on. `levels` are those of the calibration of
-    clip-fid/1, mild to severe.
+    Amplitudes (metres, metres per second) are worse the larger. Rates (frames per second that are kept, cut-offs in Hz)
+    are worse the smaller, and harmless from `clean_at` times the framerate on, which is None for amplitudes.
     """
 
     name: str
     unit: str
-    kind: Literal["amplitude", "rate"]
     levels: tuple[float, ...]
-    mildest: float
-    severest: float
-    clean_at: float
-    corrupt: Callable[[Array, float, float | npt.NDArray[np.float64], np.random.Generator], Array]
+    corrupt: Damage
+    clean_at: float | None = None
 
     def levels_at(self, fps: float) -> tuple[float, ...]:
-        """The calibration's levels that have an effect at this framerate, mild to severe."""
-        if self.kind == "amplitude":
-            return self.levels
-        return tuple(level for level in self.levels if level < fps * self.clean_at)
-
-    def severity(self, strength: Float64[np.ndarray, "*n"], fps: float) -> Float64[np.ndarray, "*n"]:
-        """Log strength as a regression target: 0 where nothing changes, rising with the damage.
-
-        Amplitudes: log(1 + strength / (mildest / 2)); rates: log(fps × clean_at / strength), never below 0.
-        """
-        if self.kind == "amplitude":
-            return np.log1p(strength / (0.5 * self.mildest))
-        return np.maximum(np.log(fps * self.clean_at / strength), 0.0)
-
-    def draw(self, rng: np.random.Generator, fps: float, num: int) -> Float64[np.ndarray, "num"]:
-        """Strengths drawn log-uniformly between the mildest with an effect at `fps` and the severest."""
-        mildest = self.mildest if self.kind == "amplitude" else min(self.mildest, fps * self.clean_at)
-        low, high = sorted((mildest, self.severest))
-        return np.exp(rng.uniform(np.log(low), np.log(high), num))
+        """The levels that have an effect at this framerate, mild to severe."""
+        return tuple(level for level in self.levels if self.clean_at is None or level < fps * self.clean_at)
 
 
-def families(skeleton: Skeleton = SMPL22) -> tuple[Family, ...]:
-    """Every family, for motions on a skeleton: two ways of upsampling, foot sliding, joint jitter, low-pass."""
-    rates = (60.0, 40.0, 30.0, 20.0, 15.0, 10.0)
-    slerp = partial(upsample_slerp, parents=skeleton.parents)
-    return (
-        Family("upsampling-slerp", "fps", "rate", rates, 100.0, 8.0, 1.0, slerp),
-        Family("upsampling-linear", "fps", "rate", rates, 100.0, 8.0, 1.0, upsample_linear),
-        Family("foot-sliding", "m/s", "amplitude", (0.01, 0.02, 0.05, 0.1, 0.2), 0.005, 0.3, 0.0, slide),
-        Family("jitter", "m", "amplitude", (0.0005, 0.001, 0.002, 0.005, 0.01), 0.00025, 0.015, 0.0, jitter),
-        Family("low-pass", "Hz", "rate", (20.0, 10.0, 5.0, 3.0), 30.0, 2.0, 0.5, _corrupt_low_pass),
-    )
-
-
-def damages(skeleton: Skeleton = SMPL22) -> tuple[Family, ...]:
-    """What calibration damages motion with: the families that the learned evaluator regresses, and further ones."""
-    rates = (60.0, 40.0, 30.0, 20.0, 15.0, 10.0)
-    return (
-        *families(skeleton),
-        Family("upsampling-cubic", "fps", "rate", rates, 100.0, 8.0, 1.0, _corrupt_cubic),
-        Family("floor-height", "m", "amplitude", (0.05, 0.1, 0.2, 0.3), 0.02, 0.5, 0.0, _lower),
-        Family("time-reversed", "of the frames", "amplitude", (1.0,), 0.5, 1.0, 0.0, _reverse),
-        Family("frozen-feet", "of the way", "amplitude", (0.25, 0.5, 1.0), 0.1, 1.0, 0.0, _freeze_feet),
-        Family("pops", "m", "amplitude", (0.02, 0.05, 0.1), 0.01, 0.2, 0.0, _pop),
-    )
-
-
-def upsample_linear(
-    positions: Float[np.ndarray, "*batch frames joints 3"],
-    fps: float,
-    kept_fps: Strength,
-    rng: np.random.Generator,
-) -> Float[np.ndarray, "*batch frames joints 3"]:
-    """Keep only the poses at `kept_fps` frames a second and interpolate joint positions linearly between them.
-
-    The phase of the kept poses is drawn per clip; the clip's first and last pose are kept too. Poses between two frames
-    of `positions` are read from a Catmull-Rom spline.
-    """
-    flat, kept = _flatten(positions, kept_fps)
-    before, after, fraction = _knots(flat, fps, kept, rng)
-    u = fraction[..., None, None]
-    return _restore((1 - u) * before + u * after, positions)
-
-
-def upsample_slerp(
-    positions: Float[np.ndarray, "*batch frames joints 3"],
-    fps: float,
-    kept_fps: Strength,
-    rng: np.random.Generator,
-    parents: tuple[int, ...] = SMPL22.parents,
-) -> Float[np.ndarray, "*batch frames joints 3"]:
-    """Keep only the poses at `kept_fps` and turn every bone along the great circle between them; the root is linear.
-
-    Positions carry no twist, so each bone's direction is slerped in the world and its length interpolated: bones stay
-    rigid, as under SLERP of joint rotations (Shoemake 1985). Knots as in `upsample_linear`.
-    """
-    flat, kept = _flatten(positions, kept_fps)
-    before, after, fraction = _knots(flat, fps, kept, rng)
-    above = np.array(parents[1:])
-    bones = _slerp_bones(before[:, :, 1:] - before[:, :, above], after[:, :, 1:] - after[:, :, above], fraction)
-    u = fraction[..., None]
-    result = np.empty_like(before)
-    result[:, :, 0] = (1 - u) * before[:, :, 0] + u * after[:, :, 0]
-    for joint, parent in enumerate(parents[1:], start=1):
-        result[:, :, joint] = result[:, :, parent] + bones[:, :, joint - 1]
-    return _restore(result, positions)
-
-
-def slide(
-    positions: Float[np.ndarray, "*batch frames joints 3"],
-    fps: float,
-    metres_per_second: Strength,
-    rng: np.random.Generator,
-) -> Float[np.ndarray, "*batch frames joints 3"]:
-    """Let the whole body drift horizontally at a constant speed, in a direction drawn per clip: planted feet slide."""
-    flat, speed = _flatten(positions, metres_per_second)
-    direction = rng.uniform(0, 2 * np.pi, len(flat))
-    step = (speed / fps)[:, None] * np.stack((np.sin(direction), np.zeros_like(direction), np.cos(direction)), -1)
-    drift = np.arange(flat.shape[1])[None, :, None] * step[:, None]
-    return _restore(flat + drift[:, :, None], positions)
-
-
-def jitter(
-    positions: Float[np.ndarray, "*batch frames joints 3"],
-    fps: float,
-    metres: Strength,
-    rng: np.random.Generator,
-) -> Float[np.ndarray, "*batch frames joints 3"]:
-    """Add independent Gaussian noise to every joint, axis and frame; `metres` is its standard deviation."""
-    flat, deviation = _flatten(positions, metres)
-    return _restore(flat + deviation[:, None, None, None] * rng.standard_normal(flat.shape), positions)
+RATES = (60.0, 40.0, 30.0, 20.0, 15.0, 10.0)
+FAMILIES = (
+    Family("upsampling-slerp", "fps", RATES, upsample_slerp, 1.0),
+    Family("upsampling-linear", "fps", RATES, upsample_linear, 1.0),
+    Family("foot-sliding", "m/s", (0.01, 0.02, 0.05, 0.1, 0.2), slide),
+    Family("jitter", "m", (0.0005, 0.001, 0.002, 0.005, 0.01), jitter),
+    Family("low-pass", "Hz", (20.0, 10.0, 5.0, 3.0), _low_pass, 0.5),
+    Family("upsampling-cubic", "fps", RATES, upsample_cubic, 1.0),
+    Family("floor-height", "m", (0.05, 0.1, 0.2, 0.3), _lower),
+    Family("time-reversed", "of the frames", (1.0,), _reverse),
+    Family("frozen-feet", "of the way", (0.25, 0.5, 1.0), _freeze_feet),
+    Family("pops", "m", (0.02, 0.05, 0.1), _pop),
+)
 
 
 def turn(
-    positions: Float[np.ndarray, "*batch frames joints 3"], yaw_radians: Strength
+    positions: Float[np.ndarray, "*batch frames joints 3"], yaw_radians: float
 ) -> Float[np.ndarray, "*batch frames joints 3"]:
-    """Rotate the whole motion about the vertical axis through the origin; evaluators must be invariant to it."""
-    flat, yaw = _flatten(positions, yaw_radians)
-    sine, cosine = np.sin(yaw)[:, None, None], np.cos(yaw)[:, None, None]
-    x, y, z = np.moveaxis(flat, -1, 0)
-    return _restore(np.stack((cosine * x + sine * z, y, cosine * z - sine * x), -1), positions)
+    """Rotate motion about the vertical axis through the origin; evaluators must be invariant to it."""
+    sine, cosine = np.sin(yaw_radians), np.cos(yaw_radians)
+    x, y, z = np.moveaxis(positions.astype(np.float64), -1, 0)
+    return np.stack((cosine * x + sine * z, y, cosine * z - sine * x), -1).astype(positions.dtype)
 
 
 def translate(
     positions: Float[np.ndarray, "*batch frames joints 3"], offset: Float64[np.ndarray, "*batch 2"]
 ) -> Float[np.ndarray, "*batch frames joints 3"]:
-    """Move the whole motion by a horizontal (x, z) offset in metres; evaluators must be invariant to it."""
+    """Move motion by a horizontal (x, z) offset in metres; evaluators must be invariant to it."""
     moved = positions.astype(np.float64)
     moved[..., (0, 2)] += offset[..., None, None, :]
     return moved.astype(positions.dtype)
 
 
-def shift_between_frames(
-    positions: Float[np.ndarray, "*batch frames joints 3"], frames: float = 0.5
-) -> Float[np.ndarray, "*batch frames joints 3"]:
+def shift_between_frames(take: Take, frames: float = 0.5) -> Take:
     """The motion `frames` (−1 … 1) later, by windowed-sinc interpolation: gain 1 up to 0.96 of the Nyquist frequency.
 
     The kernel (Kaiser, 80 dB) reaches 64 frames; without a window, a single frame's glitch would ring through the
     whole take.
     """
-    reach = min(SHIFT_REACH_FRAMES, max(1, positions.shape[-3] - 1))
+    reach = min(SHIFT_REACH_FRAMES, max(1, len(take) - 1))
     taps = np.arange(-reach, reach + 1)
     distance = taps - frames
     inside = np.sqrt(np.maximum(0.0, 1.0 - (distance / (reach + 1)) ** 2))
@@ -202,130 +212,7 @@ def shift_between_frames(
     def transfer(frequencies: npt.NDArray[np.float64]) -> npt.NDArray[np.complex128]:
         return np.asarray(weights @ np.exp(2j * np.pi * np.outer(taps, frequencies)), dtype=np.complex128)
 
-    return filtered(positions, transfer, frames)
-
-
-def _corrupt_low_pass(
-    positions: Array, fps: float, strength: float | npt.NDArray[np.float64], rng: np.random.Generator
-) -> Array:
-    return low_pass(positions, fps, strength)
-
-
-def _corrupt_cubic(
-    positions: Array, fps: float, strength: float | npt.NDArray[np.float64], rng: np.random.Generator
-) -> Array:
-    """Keep only the poses at so many frames a second, and read the others from a cubic spline through them."""
-    flat, kept = _flatten(positions, strength)
-    last, result = flat.shape[1] - 1, flat.copy()
-    if last < 1:
-        return positions.copy()
-    for clip, spacing in enumerate(np.maximum(fps / kept, 1.0)):
-        phase = spacing * rng.uniform() * (spacing > 1.0)
-        knots, frames = np.unique(np.concatenate(([0.0], np.arange(phase, last, spacing), [last]))), np.arange(last + 1)
-        poses = scipy.interpolate.CubicSpline(frames, flat[clip])(knots)
-        result[clip] = scipy.interpolate.CubicSpline(knots, poses)(frames)
-    return _restore(result, positions)
-
-
-def _lower(positions: Array, fps: float, strength: float | npt.NDArray[np.float64], rng: np.random.Generator) -> Array:
-    """Sink the whole body by so many metres."""
-    flat, metres = _flatten(positions, strength)
-    return _restore(flat - metres[:, None, None, None] * np.array([0.0, 1.0, 0.0]), positions)
-
-
-def _reverse(
-    positions: Array, fps: float, strength: float | npt.NDArray[np.float64], rng: np.random.Generator
-) -> Array:
-    """Play the motion backwards."""
-    return positions[..., ::-1, :, :].copy()
-
-
-def _freeze_feet(
-    positions: Array, fps: float, strength: float | npt.NDArray[np.float64], rng: np.random.Generator
-) -> Array:
-    """Bring ankles and toes so far towards their mean places beside the root: with 1 they do not move beside it."""
-    flat, share = _flatten(positions, strength)
-    result = flat.copy()
-    beside = flat[:, :, FEET] - flat[:, :, :1]
-    result[:, :, FEET] += share[:, None, None, None] * (beside.mean(axis=1, keepdims=True) - beside)
-    return _restore(result, positions)
-
-
-def _pop(positions: Array, fps: float, strength: float | npt.NDArray[np.float64], rng: np.random.Generator) -> Array:
-    """Displace one joint for one frame, about once a second, by so many metres in a random direction."""
-    flat, metres = _flatten(positions, strength)
-    result, (num_clips, num_frames, num_joints, _) = flat.copy(), flat.shape
-    clip, frame = np.nonzero(rng.random((num_clips, num_frames)) < 1.0 / fps)
-    direction = rng.standard_normal((len(clip), 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    result[clip, frame, rng.integers(num_joints, size=len(clip))] += metres[clip, None] * direction
-    return _restore(result, positions)
-
-
-def _flatten(
-    positions: Array, strength: float | npt.NDArray[np.float64]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Batch axes as one, in float64, with one strength per clip."""
-    batch = positions.shape[:-3]
-    flat = positions.reshape(-1, *positions.shape[-3:]).astype(np.float64)
-    return flat, np.broadcast_to(np.asarray(strength, dtype=np.float64), batch).reshape(-1)
-
-
-def _restore(flat: npt.NDArray[np.float64], like: Array) -> Array:
-    return flat.reshape(like.shape).astype(like.dtype)
-
-
-def _knots(
-    flat: npt.NDArray[np.float64], fps: float, kept_fps: npt.NDArray[np.float64], rng: np.random.Generator
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """The kept poses before and after every frame, and the frame's position between them (0 … 1)."""
-    last = flat.shape[1] - 1
-    spacing = np.maximum(fps / kept_fps, 1.0)[:, None]
-    # At a spacing of one frame every pose is kept, so the knots must fall on the frames.
-    phase = spacing * rng.uniform(size=(len(flat), 1)) * (spacing > 1.0)
-    frame = np.arange(last + 1)[None]
-    left = phase + np.floor((frame - phase) / spacing) * spacing
-    before, after = np.clip(left, 0, last), np.clip(left + spacing, 0, last)
-    gap = np.where(after > before, after - before, 1.0)
-    return _sample(flat, before), _sample(flat, after), (frame - before) / gap
-
-
-def _sample(flat: npt.NDArray[np.float64], frame: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Poses at fractional frame numbers [B, T] by a Catmull-Rom spline, exact on the frames."""
-    last = flat.shape[1] - 1
-    base = np.floor(frame).astype(np.int64)
-    u = frame - base
-    weights = (
-        ((2 - u) * u - 1) * u / 2,
-        ((3 * u - 5) * u * u + 2) / 2,
-        ((4 - 3 * u) * u + 1) * u / 2,
-        (u - 1) * u * u / 2,
-    )
-    clips = np.arange(len(flat))[:, None]
-    # One frame more at either end by point reflection, so that constant velocity is met exactly up to the ends.
-    head, tail = 2 * flat[:, :1] - flat[:, min(1, last), None], 2 * flat[:, -1:] - flat[:, max(last - 1, 0), None]
-    padded = np.concatenate((head, flat, tail), axis=1)
-    result = np.zeros_like(flat)
-    for offset, weight in enumerate(weights):
-        result += weight[..., None, None] * padded[clips, np.minimum(base + offset, last + 2)]
-    return result
-
-
-def _slerp_bones(
-    before: npt.NDArray[np.float64], after: npt.NDArray[np.float64], fraction: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
-    """Bone vectors between two poses: directions along the great circle, lengths linear; opposite bones go linearly."""
-    lengths = [np.linalg.norm(bones, axis=-1, keepdims=True) for bones in (before, after)]
-    start, end = (bones / np.maximum(length, 1e-12) for bones, length in zip((before, after), lengths, strict=True))
-    u = fraction[..., None, None]
-    angle = np.arccos(np.clip(np.sum(start * end, axis=-1, keepdims=True), -1.0, 1.0))
-    sine = np.sin(angle)
-    straight = sine < 1e-6
-    safe = np.where(straight, 1.0, sine)
-    first = np.where(straight, 1 - u, np.sin((1 - u) * angle) / safe)
-    second = np.where(straight, u, np.sin(u * angle) / safe)
-    turned: npt.NDArray[np.float64] = (first * start + second * end) * ((1 - u) * lengths[0] + u * lengths[1])
-    return turned
+    return filtered(take, transfer, frames)
 
 
 NUM_GAMES = 3
@@ -338,7 +225,6 @@ LANDING_NOISE_METRES = (0.0001, 0.0003, 0.0005, 0.001, 0.002)
 TEXTURE_GAINS = (0.5, 1.0, 2.0)
 FAST_METRES_PER_SECOND = 0.5
 NUM_LENDERS = 4
-FEET = [SMPL22.index(name) for name in ("left_ankle", "right_ankle", "left_foot", "right_foot")]
 # A foot lands where it slows to this downward speed, near its own lowest height.
 LANDING_METRES_PER_SECOND = 0.3
 LANDING_METRES = 0.05
@@ -349,8 +235,6 @@ POSES_COMPARED = 4
 PHASES_PER_SECOND = 60
 MAX_WINDOWS = 60_000
 WINDOWS_AT_ONCE = 256
-Take = npt.NDArray[np.float32]
-Noise = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,7 +253,7 @@ def games(real: SampleSet, seed: int = 0, training: SampleSet | None = None) -> 
     """
     fps = float(real.fps)
     rng = np.random.default_rng((seed, 7))
-    upsampled = _with(real, [upsample_slerp(take[None], fps, KEPT_FPS, rng)[0] for take in real.sequences])
+    upsampled = _with(real, [upsample_slerp(take, fps, KEPT_FPS, rng) for take in real.sequences])
     slow = _with(real, [low_pass(take, fps, LOW_PASS_HZ) for take in real.sequences])
     slower = _with(real, [low_pass(take, fps, TEXTURE_HZ) for take in real.sequences])
     windows = None if training is None else _windows(training)

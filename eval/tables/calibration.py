@@ -14,7 +14,7 @@ from eval.clip_fid.score import CLIP_FID, Comparison, FeatureSource, feature_sou
 from eval.detail import LEAST_FPS, DetailProfile, RealDetail
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, measure
-from eval.sets.damage import NUM_GAMES, Family, damages, games, shift_between_frames, translate, turn
+from eval.sets.damage import FAMILIES, NUM_GAMES, Family, games, shift_between_frames, translate, turn
 from eval.sets.motions import real_motion
 from eval.sets.sets import SampleSet
 from eval.tables.systems import COLUMNS
@@ -160,7 +160,7 @@ def calibrate(
     flat = scored({CLEAN: real, **_harmless(real, seed), **({SHIFTED: shifted} if shifted is not None else {})})
     clean = flat.pop(CLEAN)
     graded = []
-    for family in damages():
+    for family in FAMILIES:
         if strengths := family.levels_at(float(real.fps)):
             found = scored({str(strength): _damaged(real, family, strength, seed) for strength in strengths})
             graded.append(Graded(family.name, family.unit, strengths, clean, tuple(found.values())))
@@ -175,7 +175,7 @@ def calibrate(
 
 def _damaged(real: SampleSet, family: Family, strength: float, seed: int) -> SampleSet:
     rng = np.random.default_rng((seed, 5))
-    sequences = [family.corrupt(take[None], float(real.fps), strength, rng)[0] for take in real.sequences]
+    sequences = [family.corrupt(take, float(real.fps), strength, rng) for take in real.sequences]
     return real.with_positions(_level(family.name, strength, family.unit), real.fps, sequences)
 
 
@@ -210,7 +210,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
         for fps in config.fps or COLUMNS:
             with (
                 config.missing.skipping(f"{source.name}, {fps} fps"),
-                task(config.on_progress, f"{source.name}, {fps} fps", 1 + len(damages()) + NUM_GAMES) as work,
+                task(config.on_progress, f"{source.name}, {fps} fps", 1 + len(FAMILIES) + NUM_GAMES) as work,
             ):
                 comparison = source.comparison(held_out.at(fps), train.at(fps), config.clips)
                 found.append(calibrate(comparison, held_out.at(fps, first_frame=1), work.advance))
@@ -236,7 +236,7 @@ TABLE = Table(
 
 def _blocks(source: FeatureSource, found: list[Calibration]) -> list[Block]:
     """Ratios to the floor, rank correlations, and games."""
-    levels = [_level(family.name, level, family.unit) for family in damages() for level in family.levels]
+    levels = [_level(family.name, level, family.unit) for family in FAMILIES for level in family.levels]
     ratios: dict[str, dict[str, Cell]] = {CLEAN: {}, DISJOINT: {}}
     spearman: dict[str, dict[str, Cell]] = {}
     seen: dict[str, list[str]] = {}

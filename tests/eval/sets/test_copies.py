@@ -61,7 +61,7 @@ def played(positions: np.ndarray, tempo: str) -> np.ndarray:
 
 
 def noisy(positions: np.ndarray, metres: float) -> np.ndarray:
-    return jitter(positions[None], float(FPS), metres, np.random.default_rng(0))[0]
+    return jitter(positions, float(FPS), metres, np.random.default_rng(0))
 
 
 DISGUISES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
@@ -74,7 +74,7 @@ DISGUISES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "mirrored": mirrored,
     "noise": lambda take: noisy(take, 0.003),
     "low-passed": lambda take: low_pass(take, float(FPS), 8.0),
-    "from 20 fps": lambda take: upsample_slerp(take[None], float(FPS), 20.0, np.random.default_rng(0))[0],
+    "from 20 fps": lambda take: upsample_slerp(take, float(FPS), 20.0, np.random.default_rng(0)),
     "spliced": lambda take: np.concatenate((take[:120], swinging(0, 3.0)[20:140])),
     "all at once": lambda take: noisy(elsewhere(mirrored(played(1.1 * take, "1.11"))), 0.001),
 }
