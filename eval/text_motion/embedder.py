@@ -29,33 +29,37 @@ Embeddings = Float64[np.ndarray, "rows features"]
 class TextMotionEvaluator(Protocol):
     """Embeds whole motions and sentences in one space; distances there are Euclidean.
 
-    `fingerprint` is a hash of everything that embeddings depend on, `fps` the required framerate (None: any), `layout`
-    the motions' joints, `smpl22` or `kit21`. `pair_score` names the score of pairs of unit vectors that its authors
-    report (`eval.metrics.metric`), or is empty. A motion's row depends on that motion alone, not on its batch.
+    A motion's row depends on that motion alone, not on its batch.
     """
 
     @property
-    def name(self) -> str: ...  # noqa: D102
+    def name(self) -> str:
+        """Name for tables."""
+
     @property
-    def fingerprint(self) -> str: ...  # noqa: D102
+    def fingerprint(self) -> str:
+        """Hash of everything that embeddings depend on."""
+
     @property
-    def fps(self) -> Fraction | None: ...  # noqa: D102
+    def fps(self) -> Fraction | None:
+        """The required framerate of the motions; None if any is accepted."""
+
     @property
-    def layout(self) -> str: ...  # noqa: D102
+    def layout(self) -> str:
+        """The motions' joints: `smpl22` or `kit21`."""
+
     @property
-    def pair_score(self) -> str: ...  # noqa: D102
+    def pair_score(self) -> str:
+        """The score of pairs of unit vectors that its authors report (`eval.metrics.metric`), or empty."""
 
     def remark_at(self, fps: Fraction) -> str:
         """The remark of a table on its numbers at a framerate; may be empty."""
-        ...
 
     def embed_motions(self, samples: SampleSet) -> Embeddings:
         """One row per sequence, in the order of the set. Raises `MotionkitError` for another framerate."""
-        ...
 
     def embed_texts(self, captions: Sequence[Caption]) -> Embeddings:
         """One row per caption, in order. Raises `MotionkitError` if one cannot be read."""
-        ...
 
 
 @runtime_checkable
@@ -63,13 +67,11 @@ class PoseVectorEvaluator(TextMotionEvaluator, Protocol):
     """An evaluator that reads pose vectors of `vector_size` numbers unchanged, as in published comparisons."""
 
     @property
-    def vector_size(self) -> int: ...  # noqa: D102
+    def vector_size(self) -> int:
+        """Numbers of a pose vector."""
 
-    def embed_vectors(
-        self, motions: Sequence[Float32[np.ndarray, "_frames numbers"]], lengths: Sequence[int] | None = None
-    ) -> Embeddings:
-        """One row per motion in its own units; frames past `lengths` are not read. Raises `MotionkitError`."""
-        ...
+    def embed_vectors(self, motions: Sequence[Float32[np.ndarray, "_frames numbers"]]) -> Embeddings:
+        """One row per motion in its own units. Raises `MotionkitError`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,7 +85,7 @@ class GuoKind:
 
     @property
     def num_statistics(self) -> int:
-        """Numbers of mean.npy and std.npy: those of a whole vector, of MARDM's those that it reads."""
+        """Numbers of mean.npy and std.npy."""
         return self.layout.vector.size if self.name == "guo" else self.num_inputs
 
 
@@ -357,28 +357,25 @@ class GuoEvaluator:
         than 5 or more than 200 poses.
         """
         self.check_fps(samples.fps, samples.name)
-        return self._embed(list(map(self.pose_vectors, samples.sequences)), samples.sequence_ids.__getitem__, None)
+        return self._embed(list(map(self.pose_vectors, samples.sequences)), samples.sequence_ids.__getitem__)
 
     def describe(
         self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction
     ) -> Float64[np.ndarray, "clips features"]:
         """One embedding per clip, in order: each clip is put on the floor, rotated and converted by itself."""
         self.check_fps(fps, "clips")
-        return self._embed(list(map(self.pose_vectors, clips)), "clip {}".format, None)
+        return self._embed(list(map(self.pose_vectors, clips)), "clip {}".format)
 
     def embed_vectors(
-        self,
-        motions: Sequence[Float[np.ndarray, "_frames numbers"]] | Float[np.ndarray, "motions frames numbers"],
-        lengths: Sequence[int] | None = None,
+        self, motions: Sequence[Float[np.ndarray, "_frames numbers"]]
     ) -> Float64[np.ndarray, "motions features"]:
         """One row per motion given as pose vectors in their own units (not standardised), at the evaluator's framerate.
 
         As in published comparisons, a generator's vectors, times its std plus its mean, are passed directly to the
-        evaluator. `lengths` are the motions' numbers of frames if the arrays are padded. Lengths are truncated to a
-        multiple of 4. Raises `GuoError` for vectors of another size, NaN, vectors that are still standardised or in
-        another unit, and lengths under 4, over 199 or past the array's end.
+        evaluator. Lengths are truncated to a multiple of 4. Raises `GuoError` for vectors of another size, NaN, vectors
+        that are still standardised or in another unit, and lengths under 4 or over 199.
         """
-        return self._embed(list(motions), "motion {}".format, lengths)
+        return self._embed(motions, "motion {}".format)
 
     def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
         """One row per caption, in order.
@@ -417,43 +414,36 @@ class GuoEvaluator:
             )
 
     def _embed(
-        self,
-        motions: Sequence[Float[np.ndarray, "_frames numbers"]],
-        title: Callable[[int], str],
-        lengths: Sequence[int] | None,
+        self, motions: Sequence[Float[np.ndarray, "_frames numbers"]], title: Callable[[int], str]
     ) -> Float64[np.ndarray, "motions features"]:
-        frames = [len(motion) for motion in motions] if lengths is None else [int(length) for length in lengths]
-        if len(frames) != len(motions):
-            raise GuoError(f"{len(frames)} lengths for {len(motions)} motions")
-        self._check_vectors(motions, title, frames)
-        num_inputs, whole = self.kind.num_inputs, [length // FRAMES_PER_TOKEN * FRAMES_PER_TOKEN for length in frames]
+        self._check_vectors(motions, title)
+        num_inputs = self.kind.num_inputs
         mean, std = self.statistics.mean[:num_inputs], self.statistics.std[:num_inputs]
+        whole = [len(motion) // FRAMES_PER_TOKEN * FRAMES_PER_TOKEN for motion in motions]
 
         def embed(rows: list[int]) -> Tensor:
-            # Nothing past a motion's end is seen, so an embedding is the motion's own.
             seen = [motions[row][: whole[row], :num_inputs].astype(np.float64) for row in rows]
             return self.embed_frames([torch.from_numpy((each - mean) / std) for each in seen])
 
         return _in_batches(whole, embed)
 
     def _check_vectors(
-        self, motions: Sequence[Float[np.ndarray, "_frames numbers"]], title: Callable[[int], str], frames: list[int]
+        self, motions: Sequence[Float[np.ndarray, "_frames numbers"]], title: Callable[[int], str]
     ) -> None:
         kind = self.kind
         heights = []
-        for index, (motion, length) in enumerate(zip(motions, frames, strict=True)):
+        for index, motion in enumerate(motions):
             if motion.ndim != 2 or motion.shape[1] not in (self.vector_size, kind.num_statistics):
-                raise GuoError(
-                    f"{title(index)}: vectors of shape {motion.shape}; {kind.dataset}'s have {self.vector_size} numbers"
-                )
-            if not FRAMES_PER_TOKEN <= length <= min(len(motion), MAX_FRAMES + FRAMES_PER_TOKEN - 1):
-                raise GuoError(
-                    f"{title(index)}: {length} frames of {len(motion)}; the evaluator knows motions of "
-                    f"{FRAMES_PER_TOKEN} to {MAX_FRAMES} frames ({float(MAX_FRAMES / self.fps):.1f} s)"
-                )
-            if not np.isfinite(motion).all():
-                raise GuoError(f"{title(index)}: holds NaN or infinity")
-            heights.append(motion[:length, kind.layout.vector.root_height])
+                fault = f"vectors of shape {motion.shape}; {kind.dataset}'s have {self.vector_size} numbers"
+            elif not FRAMES_PER_TOKEN <= len(motion) < MAX_FRAMES + FRAMES_PER_TOKEN:
+                most = f"{MAX_FRAMES} ({float(MAX_FRAMES / self.fps):.1f} s)"
+                fault = f"{len(motion)} frames; the evaluator knows motions of {FRAMES_PER_TOKEN} to {most}"
+            elif not np.isfinite(motion).all():
+                fault = "holds NaN or infinity"
+            else:
+                heights.append(motion[:, kind.layout.vector.root_height])
+                continue
+            raise GuoError(f"{title(index)}: {fault}")
         below = float(np.mean(np.concatenate(heights) < 0))
         if below > MAX_NEGATIVE_HEIGHTS:
             raise GuoError(

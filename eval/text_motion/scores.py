@@ -202,19 +202,13 @@ def _check(real: TextMotionPairs, draws: Sequence[TextMotionPairs], protocol: Te
     for draw in draws:
         number, features = draw.motions.shape
         if features != real.motions.shape[1]:
-            raise ValueError(
-                f"embeddings of real motions have {real.motions.shape[1]} numbers, of generated ones {features}"
-            )
+            raise ValueError(f"embeddings of real motions have {real.motions.shape[1]} numbers, of others {features}")
         if number < protocol.pool:
-            raise ValueError(
-                f"{number} motions: a text chooses among {protocol.pool} (protocol {protocol.name!r}), so there must "
-                "be that many at least"
-            )
+            raise ValueError(f"{number} motions: protocol {protocol.name!r} has a text choose among {protocol.pool}")
         if protocol.reference == "paired" and number != len(real.motions):
             raise ValueError(
                 f"protocol {protocol.name!r} compares with the real motions of the same texts, but there are {number} "
-                f"generated and {len(real.motions)} real motions: give those that belong together, or choose a "
-                "protocol with an independent reference (t2m, mdm)"
+                f"generated and {len(real.motions)} real ones: choose another protocol (t2m, mdm)"
             )
 
 
@@ -242,13 +236,12 @@ def _fid_of(
         return frechet_distance(whole(None), whole(which))
 
     def fid(which: int, order: Int64[np.ndarray, "_chosen"], replication: int) -> float:
-        motions, reference = draws[which].motions, np.arange(len(real.motions))
-        if protocol.reference == "paired":
-            reference = order
+        motions, reference = draws[which].motions, order
         if protocol.reference == "redraw":
-            shuffled = np.random.default_rng((seed, replication, REAL)).permutation(len(real.motions))
-            reference = shuffled[: _num_kept(len(real.motions), protocol)]
-        all_real, all_generated = len(reference) == len(real.motions), len(order) == len(motions)
+            reference = np.random.default_rng((seed, replication, REAL)).permutation(len(real.motions))
+            reference = reference[: _num_kept(len(real.motions), protocol)]
+        all_real = protocol.reference == "whole" or len(reference) == len(real.motions)
+        all_generated = len(order) == len(motions)
         if all_real and all_generated:
             return whole_distance(which)
         return frechet_distance(
@@ -268,16 +261,13 @@ def _add_multimodality(
     texts, generations = repeated.shape[:2]
     needed = 2 * rule.num_pairs if rule.pairs == "distinct" else rule.num_pairs
     if generations < needed:
-        scores.remark(
-            f"MultiModality is left out: {rule.num_pairs} pairs need {needed} motions of each text, "
-            f"there are {generations}"
-        )
+        scores.remark(f"MultiModality is left out: it needs {needed} motions of each text, there are {generations}")
         return
-    if generations != rule.num_generations or (rule.num_texts is not None and texts < rule.num_texts):
-        expected = "every text" if rule.num_texts is None else f"{rule.num_texts} texts"
+    if generations != rule.num_generations or texts < (rule.num_texts or 0):
+        of_texts = "every text" if rule.num_texts is None else f"{rule.num_texts} texts"
         scores.remark(
-            f"the protocol has {rule.num_generations} motions of {expected} for MultiModality; here are "
-            f"{generations} motions of {texts} texts"
+            f"the protocol has {rule.num_generations} motions of {of_texts} for MultiModality; here are {generations} "
+            f"motions of {texts} texts"
         )
     chosen = repeated[:, : rule.num_generations]
     if rule.num_texts is not None and texts > rule.num_texts:
@@ -287,19 +277,18 @@ def _add_multimodality(
 
 
 def _remark_on_sizes(features: int, protocol: TextMotionProtocol, scores: Scores) -> None:
-    sizes = scores.sizes
-    if protocol.num_motions is not None and sizes["generated"] < protocol.num_motions:
+    generated, least = scores.sizes["generated"], min(scores.sizes["real"], scores.sizes["generated"])
+    if protocol.num_motions is not None and generated < protocol.num_motions:
         scores.remark(
-            f"protocol {protocol.name!r} counts {protocol.num_motions:,} generated motions, here are "
-            f"{sizes['generated']:,}: FIDs of different N do not compare"
+            f"protocol {protocol.name!r} counts {protocol.num_motions:,} generated motions, here are {generated:,}: "
+            "FIDs of different N do not compare"
         )
-    least = min(sizes["real"], sizes["generated"])
     if least <= features:
         scores.remark(
             f"N = {least} for {features} features: FID is that of two degenerate Gaussians and says little; read KID"
         )
-    if sizes["generated"] < protocol.diversity_pairs:
-        scores.remark(f"Diversity pairs {sizes['generated']} motions, not {protocol.diversity_pairs}")
+    if generated < protocol.diversity_pairs:
+        scores.remark(f"Diversity pairs {generated} motions, not {protocol.diversity_pairs}")
 
 
 def score_retrieval(

@@ -400,16 +400,12 @@ def _embedded(
         reason = f"vectors of another framerate than {evaluator.fps} fps"
     else:
         # T poses make T − 1 vectors, so the longest motion has one vector fewer than poses.
-        lengths = np.minimum(folder.sequences.num_frames, most_frames - 1).tolist()
+        lengths = folder.sequences.num_frames.tolist()
         vectors = [
-            # A crop is followed by the motion itself; only whole motions are followed by the stored padding.
-            motion if length == frames else middle(motion[:frames], length)
-            for motion, length, frames in zip(
-                folder.vectors, lengths, folder.sequences.num_frames.tolist(), strict=True
-            )
+            middle(motion[:frames], most_frames - 1) for motion, frames in zip(folder.vectors, lengths, strict=True)
         ]
-        key = {"vectors": fingerprint_of(vectors), "lengths": lengths}
-        return embedder.kept(key, len(vectors), lambda: evaluator.embed_vectors(vectors, lengths)), AS_VECTORS
+        key = {"vectors": fingerprint_of(vectors)}
+        return embedder.kept(key, len(vectors), lambda: evaluator.embed_vectors(vectors)), AS_VECTORS
     kit_lengths = kit_bone_lengths(real)
     if kit_lengths is None:
         return embedder.motions(samples), f"{BY_JOINTS} ({reason})"

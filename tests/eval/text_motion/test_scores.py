@@ -171,7 +171,7 @@ NATIVE = replace(find_text_motion_protocol("native"), replications=3)
 
 def test_what_the_data_cannot_give_is_reported() -> None:
     few = score(repeated=np.zeros((3, 12, FEATURES)))
-    assert any("10 pairs need 20 motions" in remark for remark in few.remarks)
+    assert any("needs 20 motions of each text, there are 12" in remark for remark in few.remarks)
     assert any("Diversity pairs 96 motions" in remark for remark in few.remarks)
     assert any("there is one set of motions" in remark for remark in few.remarks)
     some = score(repeated=np.random.default_rng(0).normal(size=(3, 20, FEATURES)))
@@ -192,10 +192,10 @@ NARROW = TextMotionPairs(np.zeros((64, 3)), np.zeros((64, 3)))
     ("draws", "protocol", "message"),
     [
         ([], "native", "no set of motions"),
-        ([make_pairs(20, 1)], "native", "chooses among 32"),
+        ([make_pairs(20, 1)], "native", "choose among 32"),
         ([BROKEN], "native", "finite"),
-        ([NARROW], "native", "5 numbers, of generated ones 3"),
-        ([make_pairs(96, 1)], "mld", "96 generated and 64 real motions"),
+        ([NARROW], "native", "5 numbers, of others 3"),
+        ([make_pairs(96, 1)], "mld", "96 generated and 64 real"),
     ],
 )
 def test_pairs_that_do_not_fit_are_refused(draws: list[TextMotionPairs], protocol: str, message: str) -> None:

@@ -105,10 +105,8 @@ class KitVectors(First):
 
     fps, vector_size = Fraction(20), 251
 
-    def embed_vectors(self, motions: Sequence[np.ndarray], lengths: Sequence[int] | None = None) -> np.ndarray:
-        self.seen = [len(motion) for motion in motions]
-        numbers = self.seen if lengths is None else lengths
-        return np.array([[float(motion[0, 0]), float(number)] for motion, number in zip(motions, numbers, strict=True)])
+    def embed_vectors(self, motions: Sequence[np.ndarray]) -> np.ndarray:
+        return np.array([[float(motion[0, 0]), float(len(motion))] for motion in motions])
 
 
 def test_vectors_reach_an_evaluator_that_reads_them_and_no_other() -> None:
