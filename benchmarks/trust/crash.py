@@ -192,14 +192,13 @@ def run(
     while waiting and time.perf_counter() - started < seconds:
         for name in list(waiting):
             try:
-                kind, problem = next(waiting[name])
-            except StopIteration:
-                del waiting[name]
-                continue
+                tried = next(waiting[name], None)
             except UndisturbedError as error:
+                tried = "undisturbed", str(error)
+            if tried is None:
                 del waiting[name]
-                kind, problem = "undisturbed", str(error)
-            found.setdefault(name, []).append((kind, problem))
+            else:
+                found.setdefault(name, []).append(tried)
     cases = tuple(
         Case(name, len(each), tuple(problem for _, problem in each if problem), Counter(kind for kind, _ in each))
         for name, each in found.items()

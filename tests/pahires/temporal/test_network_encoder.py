@@ -12,13 +12,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features.rotations import rows_of_poses
-from motionkit.fields.motion_field import (
-    BatchEncoder,
-    MotionEncoder,
-    MotionField,
-    Observation,
-    Poses,
-)
+from motionkit.fields.motion_field import BatchEncoder, MotionEncoder, MotionField, Observation, Poses
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import CheckpointError, save_tensors
 from motionkit.training.run import RunError, RunFolder
@@ -45,10 +39,6 @@ def capture(seconds: float = 5.0, fps: int = 30, start: float = 2.0) -> Motion:
     return Motion(analytic_positions(grid.seconds() - start, 1), SMPL22, grid)
 
 
-def random_times(field: MotionField, count: int = 700) -> np.ndarray:
-    return np.random.default_rng(0).uniform(field.start_seconds, field.end_seconds, count)
-
-
 @pytest.fixture
 def field(exact: TrainedNetwork) -> MotionField:
     encoder = NetworkEncoder(exact, window_frames=16)
@@ -59,7 +49,7 @@ def field(exact: TrainedNetwork) -> MotionField:
 
 
 def test_answers_depend_neither_on_order_nor_on_company(field: MotionField) -> None:
-    times = random_times(field)
+    times = np.random.default_rng(0).uniform(field.start_seconds, field.end_seconds, 700)
     whole = field.query(times).joint_positions
     order = np.random.default_rng(1).permutation(len(times))
     np.testing.assert_allclose(field.query(times[order]).joint_positions, whole[order], atol=2e-5)
