@@ -495,7 +495,9 @@ def recorded_settings(run: RunFolder, stage: str) -> dict[str, Any]:
 
 def choose_stages(name: str) -> tuple[Stage[Any], ...]:
     """The stages that `--stage NAME` selects; raises `UsageError` that lists the known ones."""
-    known = plugins.names("STAGES")
-    if name not in (*known, "all"):
-        raise UsageError(f"no stage is called {name!r}; there are: {', '.join([*known, 'all'])}")
-    return tuple(plugins.load("STAGES", each) for each in (plugins.names("ALL") if name == "all" else (name,)))
+    names = plugins.names("ALL") if name == "all" else (name,)
+    try:
+        return tuple(plugins.load("STAGES", each) for each in names)
+    except KeyError:
+        known = ", ".join([*plugins.names("STAGES"), "all"])
+        raise UsageError(f"no stage is called {name!r}; there are: {known}") from None

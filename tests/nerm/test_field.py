@@ -80,14 +80,6 @@ def test_a_transformer_decoders_motion_is_a_function_of_time(monkeypatch: pytest
     assert np.abs(alone - fast[17]).max() > 1e-3
 
 
-def test_only_the_batch_s_latents_move() -> None:
-    training = small_training(apply_overrides(SMALL, ["schedule.batch_size=1", "clips.seconds_per_visit=10.0"]))
-    before = training.latents.table.clone()
-    losses_of(training, 1)
-    moved = (training.latents.table != before).any(dim=1)
-    assert int(moved.sum()) == 1
-
-
 def test_training_without_distributions_leaves_variances_alone() -> None:
     training = small_training(apply_overrides(SMALL, ["latents.variational=false"]))
     before = training.posteriors()[1].clone()

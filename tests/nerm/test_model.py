@@ -1,7 +1,6 @@
-"""NeRM as a generative model, over a field whose decoding is known in closed form."""
+"""NeRM as a generative model: requests become conditions, durations and latents."""
 
 import math
-from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
@@ -10,9 +9,8 @@ import torch
 
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
-from motionkit.fields.motion_field import Poses, check_times
 from motionkit.generate.models import GenerationRequest, SamplingOptions
-from motionkit.training.config import DiffusionConfig, apply_overrides
+from motionkit.training.config import DiffusionConfig
 from motionkit.training.loop import seeded_initialisation
 from motionkit.training.networks import ConditionSizes
 from motionkit.training.run import RunError
@@ -26,38 +24,13 @@ from nerm.recipes import DenoiserConfig, TransformerConfig
 NETWORK = TransformerConfig(num_layers=3, width=16, num_heads=2, ffn_width=32, dropout=0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class KnownMotion:
-    """Every joint at (z₀ + t, z₁, fps): what was asked for can be read off the positions."""
-
-    latent: torch.Tensor
-    end_seconds: float
-    fps: Fraction = Fraction(120)
-    start_seconds = 0.0
-    skeleton = SMPL22
-
-    def at_fps(self, fps):
-        return replace(self, fps=fps)
-
-    def query(self, times_seconds):
-        check_times(self, times_seconds)
-        positions = np.empty((len(times_seconds), 22, 3), dtype=np.float32)
-        positions[..., 0] = float(self.latent[0]) + times_seconds[:, None]
-        positions[..., 1] = float(self.latent[1])
-        positions[..., 2] = float(self.fps)
-        return Poses(positions)
-
-
 class KnownField(TrainedField):
-    """A field whose latents are known motions."""
+    """A field whose motions are not decoded."""
 
     max_duration_seconds, max_training_fps, skeleton, has_joints = 8.0, Fraction(120), SMPL22, False
 
     def __init__(self):
         pass
-
-    def as_motion_field(self, latent, duration_seconds):
-        return KnownMotion(latent, duration_seconds)
 
 
 def known_model(text_fingerprint: str = "") -> NermModel:
@@ -65,10 +38,7 @@ def known_model(text_fingerprint: str = "") -> NermModel:
     with seeded_initialisation(0, "test"):
         denoiser = Denoiser(NETWORK, torch.full((4,), ALWAYS), layout)
     trained = TrainedDenoiser(
-        config=apply_overrides(
-            DenoiserConfig(network=NETWORK, diffusion=DiffusionConfig(sampling_steps=5)),
-            ["diffusion.guidance_scale=2.0"],
-        ),
+        config=DenoiserConfig(network=NETWORK, diffusion=DiffusionConfig(sampling_steps=5, guidance_scale=2.0)),
         denoiser=denoiser.eval(),
         space=LatentSpace(None, torch.full((4,), 5.0), torch.ones(4)),
         layout=layout,

@@ -74,17 +74,6 @@ def _clips(
     return latents, -1 + 2 * frames / fps[:, None] / TINY.windows.max_duration_seconds, fps
 
 
-@pytest.mark.parametrize("name", VARIANTS)
-def test_every_variant_decodes_clips(name: str) -> None:
-    network = _network(*VARIANTS[name])
-    latents, coordinates, fps = _clips(dimension=network.config.latents.dimension)
-    vectors = network(latents, coordinates, fps)
-    assert vectors.shape == (5, 7, 66)
-    vectors.square().mean().backward()
-    without = [name for name, weight in network.named_parameters() if weight.grad is None]
-    assert without == []
-
-
 @pytest.mark.parametrize("name", [name for name in VARIANTS if name != "transformer"])
 def test_a_pose_depends_on_its_own_coordinate_latent_and_framerate_alone(name: str) -> None:
     network = _network(*VARIANTS[name])
