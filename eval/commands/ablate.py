@@ -77,7 +77,7 @@ def ablate(
     from motionkit.store.commit import read_manifest
 
     store = store or default_path("store")
-    fingerprint = read_manifest(store).fingerprint  # fails for a missing store before heavy imports
+    read_manifest(store)  # fails for a missing store before heavy imports
     outcomes = []
     with progress() as show:
         common = StageContext(
@@ -91,18 +91,18 @@ def ablate(
             on_progress=show,
         )
         for number, ((variant, stages), config) in enumerate(zip(variants.items(), configs, strict=True), start=1):
-            context = replace(common, run=run_of(prefix, variant, seed))
-            stderr.print(f"{number} of {len(variants)}: {context.run.path.name}")
+            run_folder = run_of(prefix, variant, seed)
+            stderr.print(f"{number} of {len(variants)}: {run_folder.path.name}")
             try:
-                summaries = _train(ablations, common, context, config, stages, fingerprint)
+                summaries = _train(ablations, common, run_folder, config, stages)
             except MotionkitError as error:
                 # The others are trained all the same.
                 stderr.print(f"motionkit: {variant.name}: {error}")
                 continue
-            outcomes.append({"run": context.run.path.name, "variant": variant.name, "stages": summaries})
+            outcomes.append({"run": run_folder.path.name, "variant": variant.name, "stages": summaries})
             if not as_json:
                 losses = ", ".join(f"{name} loss {summary['loss']:.4g}" for name, summary in summaries.items())
-                stdout.print(f"{context.run.path.name}: {losses}")
+                stdout.print(f"{run_folder.path.name}: {losses}")
     if as_json:
         print_json({"runs": str(prefix.parent), "trained": outcomes})
     if len(outcomes) < len(variants):
@@ -130,17 +130,15 @@ def _variants(
 
 
 def _train(
-    ablations: Ablations,
-    common: StageContext,
-    context: StageContext,
-    config: Any,
-    stages: tuple[str, ...],
-    fingerprint: str,
+    ablations: Ablations, common: StageContext, run: RunFolder, config: Any, stages: tuple[str, ...]
 ) -> dict[str, Any]:
     """Train a variant's missing stages in its run; returns each stage's summary.
 
     `common` is the context of RUNS/PREFIX, which has what all variants share.
     """
+    from motionkit.store.commit import read_manifest
+
+    context = replace(common, run=run)
     summaries = {}
     with ExitStack() as locks:
         for name in stages:
@@ -150,7 +148,7 @@ def _train(
         for name in stages:
             folder, stage = context.run.stage(name), ablations.stages[name]
             if folder.is_complete and not context.overwrite:
-                stage.check_kept(context, config, fingerprint)
+                stage.check_kept(context, config, read_manifest(common.store).fingerprint)
             else:
                 stage.train(context, config)
             summaries[name] = folder.read_summary()

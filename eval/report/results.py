@@ -197,10 +197,12 @@ def pairs_of(rows: Iterable[RowId], references: Collection[RowId] = ()) -> list[
     return [*combinations(own, 2), *((row, reference) for row in own for reference in references)]
 
 
-def score_differences(rows: Mapping[RowId, Mapping[str, Number]], column_of: Mapping[str, str]) -> Differences:
-    """Differences of all pairs of rows; `column_of` maps metrics to columns."""
+def score_differences(
+    rows: Mapping[RowId, Mapping[str, Number]], column_of: Mapping[str, str], references: Collection[RowId] = ()
+) -> Differences:
+    """Differences of all pairs of rows that are no references, and from these; `column_of` maps metrics to columns."""
     found: dict[tuple[RowId, RowId], dict[str, Number]] = {}
-    for first, second in pairs_of(rows):
+    for first, second in pairs_of((row for row in rows if row not in references), references):
         for name, column in column_of.items():
             if name in rows[first] and name in rows[second]:
                 less = rows[first][name].less(rows[second][name])
@@ -234,6 +236,12 @@ def differences_block(block: Block, differences: Differences) -> Block | None:
         return None
     compared = Block(block.title + DIFFERENCES, block.columns, tuple(rows), note=DIFFERENCES_NOTE)
     return replace(compared, metrics=block.metrics, differences_of=block.title)
+
+
+def with_differences(block: Block, differences: Differences, best: Iterable[str] = ()) -> list[Block]:
+    """A block, and one of the informative differences between its rows if there are any (`of_interest`)."""
+    tests = differences_block(block, of_interest(block, differences, best))
+    return [block] if tests is None else [block, tests]
 
 
 def _ranked(block: Block) -> dict[str, list[str]]:

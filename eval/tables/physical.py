@@ -13,7 +13,7 @@ from eval.metrics.metric import Metric, find_metric
 from eval.metrics.number import Number, Resampling, Units, units_of, with_takes
 from eval.metrics.physical import METRICS, ground_height
 from eval.metrics.physical_published import METRICS as PUBLISHED
-from eval.report.results import Block, Row, cell_of, differences_block, measure, of_interest, pairs_of
+from eval.report.results import Block, Row, cell_of, measure, score_differences, with_differences
 from eval.sets.motions import NoRealMotionError, real_motion, training_motion
 from eval.sets.sets import REAL, RowId, SampleSet, Variant
 from eval.tables.systems import Column, detail_blocks, generated_at, generated_fields, label, real_column, samples_at
@@ -150,16 +150,8 @@ def blocks_of(
         note=note,
         metrics=tuple(measure(metric, column=metric.title) for metric in shown),
     )
-    paired = {
-        (first, second): {
-            column: difference
-            for column, mean in means[first].items()
-            if column in means[second] and (difference := mean.less(means[second][column])) is not None
-        }
-        for first, second in pairs_of((row for row in means if row != REAL), (REAL,))
-    }
-    differences = differences_block(block, of_interest(block, paired, _nearest(means)))
-    return [block, *([differences] if differences else [])]
+    differences = score_differences(means, {metric.title: metric.title for metric in shown}, (REAL,))
+    return with_differences(block, differences, _nearest(means))
 
 
 def _nearest(means: Mapping[RowId, Mapping[str, Number]]) -> list[str]:

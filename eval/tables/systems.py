@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from eval.clip_fid.score import KINEMATIC, ClipError, Comparison
+from eval.clip_fid.score import KINEMATIC, ClipError, Comparison, FeatureSource
 from eval.detail import LEAST_FPS, RealDetail
 from eval.detail import VERSION as DETAIL_VERSION
 from eval.metrics.number import Number
@@ -213,12 +213,11 @@ class Column:
     train: SampleSet | None
     subset_sizes: Mapping[RowId, int] = field(default_factory=dict)
 
-    def comparison(self, source: Any, config: EvalConfig) -> Comparison:
-        """The comparison with the real set on a `FeatureSource`; raises `NoRealMotionError` without training motion."""
+    def comparison(self, source: FeatureSource, config: EvalConfig) -> Comparison:
+        """The comparison with the real set on some features; raises `NoRealMotionError` without training motion."""
         if self.train is None:
             raise NoRealMotionError("the training split has no motion at this framerate")
-        found: Comparison = source.comparison(self.real, self.train, config.clips)
-        return found
+        return source.comparison(self.real, self.train, config.clips)
 
 
 def real_column(fps: Fraction, real: RealMotion, train: RealMotion) -> Column:

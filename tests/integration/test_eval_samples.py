@@ -78,7 +78,6 @@ def test_every_published_layout_gets_its_row(motionkit, store, tmp_path):
     note = result["blocks"][0]["note"]
     assert "At 20 fps these have no more motions than there are features (" in note
     assert "MDM (6)" in note
-    assert "quote KID, precision and recall" in note
     assert {"kid", "precision"} <= {key.lower() for key in rows["MDM"]["cells"]["20 fps"]["details"]}
     assert len(result["provenance"]["samples"]) == len(folders)
 

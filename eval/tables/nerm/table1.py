@@ -21,10 +21,9 @@ from eval.report.results import (
     Origin,
     Row,
     cell_of,
-    differences_block,
     measure,
-    of_interest,
     score_differences,
+    with_differences,
 )
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.folder import rows_by_name
@@ -108,10 +107,9 @@ def compute(config: EvalConfig, store: Store) -> Content:
     every = [_OneEvaluator(config, protocol, evaluator, store) for evaluator in evaluators]
     blocks: list[Block] = []
     for one in every:
-        with config.missing.skipping(f"evaluator {one.evaluator.name!r}"):
+        # A single evaluator's error is the table's.
+        with config.missing.skipping(f"evaluator {one.evaluator.name!r}", (MotionkitError,) if len(every) > 1 else ()):
             blocks += one.blocks(models)
-    if not blocks:
-        raise UsageError("; ".join(config.missing.lines))
     fewest = min(len(each.real.captions) for each in every)
     small = "" if fewest >= SMALL else f" A small-scale run: {fewest} real motions, and FID has the bias of its N."
     return Content(
@@ -125,6 +123,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
             "real_motions": {
                 each.evaluator.name: {
                     "fps": str(each.real.samples.fps),
+                    "layout": each.evaluator.layout,
                     "motions": each.real.samples.num_sequences,
                     "different_captions": len(set(each.real.samples.captions)),
                     "cropped": each.real.num_cropped,
@@ -474,8 +473,8 @@ def scored_blocks(
     )
     own = {each.row: each.scores.values for each in rows if each.origin == "ours"}
     differences = score_differences(own, {name: title_of(name) for name in every})
-    tests = differences_block(main, of_interest(main, differences))
-    return [main, other_way, *([] if tests is None else [tests])]
+    main, *tests = with_differences(main, differences)
+    return [main, other_way, *tests]
 
 
 def paper_block(fps: Fraction) -> Block:

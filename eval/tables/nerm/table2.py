@@ -9,7 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from eval.clip_fid.score import CLIP_FID, VERSION, Comparison, FeatureSource, feature_sources
 from eval.metrics.number import Number
-from eval.report.results import Block, Cell, Row, differences_block, measure, of_interest
+from eval.report.results import Block, Cell, Row, measure, with_differences
 from eval.sets.copies import HELD_OUT_SHARE, STILL_METRES, TrainingWindows, held_out_limit
 from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, real_motion, training_motion
 from eval.sets.sets import REAL, Missing, RowId, SampleSet, Variant, set_remarks
@@ -100,8 +100,7 @@ class Sheet:
             },
             metrics=(measure(CLIP_FID),),
         )
-        tests = differences_block(scores, of_interest(scores, self.differences))
-        return [scores] if tests is None or not rows else [scores, tests]
+        return with_differences(scores, self.differences)
 
 
 def compute(config: EvalConfig, store: Store) -> Content:

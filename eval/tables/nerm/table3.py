@@ -17,10 +17,9 @@ from eval.report.results import (
     Block,
     Cell,
     Row,
-    differences_block,
     measure,
-    of_interest,
     score_differences,
+    with_differences,
 )
 from eval.sets.motions import VARIANT_NOTES, RealMotion, has_training, real_motion
 from eval.sets.sets import REAL, RowId, SampleSet, check_sample_names, size_remarks
@@ -216,8 +215,7 @@ def _blocks(
         provenance={"protocol": asdict(protocol)},
         metrics=tuple(measure(name, column=column) for name, column in metrics.items()),
     )
-    tests = differences_block(block, of_interest(block, score_differences(own, metrics)))
-    return [block] if tests is None else [block, tests]
+    return with_differences(block, score_differences(own, metrics))
 
 
 def _cell(number: Number, replications: Sequence[float]) -> Cell:
