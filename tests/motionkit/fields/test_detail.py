@@ -76,10 +76,6 @@ def test_nothing_lies_above_half_the_framerate(learnt: Detail, smooth: Motion, f
     assert power[(hz > 0.7 * fps / 2) & (hz < 0.8 * fps / 2)].sum() > 1e-3 * power.sum()
 
 
-def test_noise_is_a_function_of_the_seed_and_the_instant(learnt: Detail) -> None:
-    np.testing.assert_allclose(learnt.noise((3, 0), 500)[:, :200], learnt.noise((3, 0), 200), atol=1e-9)
-
-
 @pytest.mark.parametrize("rotations", [True, False])
 def test_bones_keep_their_length(learnt: Detail, rotations: bool) -> None:
     motion = capture(NATIVE, "walk", 3.0)

@@ -131,20 +131,3 @@ def test_published_clips_exported_are_the_published_folder(amass, stores, tmp_pa
         assert written.shape == (end - start - 1, 263)
         np.testing.assert_allclose(written, vectors, atol=2e-5)
         assert (tmp_path / f"out/new_joints/M{number:06}.npy").is_file()
-
-
-def test_what_a_table_says_that_the_source_stated_decides_the_step(tmp_path):
-    """A take in another format, whose table keeps what AMASS said: 59.9999885, of which every 2nd was taken."""
-    folder = tmp_path / "takes/CMU/01"
-    folder.mkdir(parents=True)
-    joints = np.zeros((60, 22, 3), np.float32)
-    joints[..., 0] = np.arange(60)[:, None]
-    np.save(folder / "01_01.npy", joints)
-    (folder / "takes.csv").write_text("file,fps,stated_fps\n01_01.npy,60,59.9999885\n")
-    (tmp_path / "index.csv").write_text(HEADER + "./pose_data/CMU/01/01_01_poses.npy,10,20,000000.npy\n")
-    options = ReadOptions(index=IndexOptions((tmp_path / "index.csv",)))
-    report = ingest([tmp_path / "takes"], tmp_path / "store", options=options, num_workers=1)
-    assert (report.problems, report.warnings) == ((), ())
-    clip = Store.open(tmp_path / "store").read("humanml3d/000000")
-    assert (clip.fps, clip.provenance.stated_fps) == (60, "59.9999885")
-    np.testing.assert_allclose(clip.joint_positions[:, 0, 0], np.arange(20, 40), atol=STORED)

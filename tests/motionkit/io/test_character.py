@@ -11,7 +11,6 @@ import pytest
 
 import motionkit as mk
 from motionkit.core import kinematics
-from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.motion_field import to_motion
@@ -257,15 +256,6 @@ def test_a_glb_that_is_no_rig_is_refused(rig: Skeleton, tmp_path: Path, damage: 
     for content in ((tmp_path / "bad.glb").read_bytes(), b"glTF" + bytes(40)):
         (tmp_path / "bad.glb").write_bytes(content)
         assert refusal(read_character, tmp_path / "bad.glb", ReadOptions()).reason == "gltf"
-
-
-def test_who_never_stands_is_refused(rig: Skeleton, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"\.glb"):
-        read_character(tmp_path / "figure.fbx", ReadOptions())
-    lying = replace(rig, offsets=np.abs(rig.offsets))
-    write_bvh(t_pose(lying), tmp_path / "lying.bvh")
-    with pytest.raises(MotionkitError, match=r"lying\.bvh"):
-        read_character(tmp_path / "lying.bvh", ReadOptions())
 
 
 def test_bones_that_rest_along_x_take_the_first_frame_s_pose(walk: mk.Motion, rig: Skeleton, tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from motionkit.io.deepmimic import humanoid3d, read_deepmimic
-from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import read, scan
 from tests.helpers.bones import check_body
 from tests.helpers.refusal import refusal
@@ -73,14 +72,6 @@ def test_every_real_clip_is_a_body_at_its_own_framerate(captures: Path) -> None:
 def test_the_last_duration_says_nothing(tmp_path: Path, durations: list[float], fps: Fraction) -> None:
     motion = read_deepmimic(written(tmp_path / "m.txt", [standing(duration) for duration in durations]))
     assert motion.fps == fps and motion.provenance.stated_fps.startswith("2 × ")
-
-
-def test_two_durations_are_refused_unless_a_framerate_is_given(tmp_path: Path) -> None:
-    path = written(tmp_path / "m.txt", [standing(d) for d in (0.1, 0.1, 0.2, 0.1, 0.0)])
-    error = refusal(read_deepmimic, path)
-    assert (error.reason, error.frame) == ("frame-time", 2)
-    motion = read_deepmimic(path, ReadOptions(fps=Fraction(10)))
-    assert (motion.fps, motion.provenance.stated_fps) == (10, "3 × 0.1 s, 1 × 0.2 s")
 
 
 FRAMES = [

@@ -102,16 +102,6 @@ def test_short_gaps_are_filled_and_markers_with_long_ones_are_dropped(tmp_path: 
     assert np.allclose(found[:, 0], positions[:, 0], rtol=1e-5)
 
 
-def test_frames_before_the_subject_is_seen_are_left_out(tmp_path: Path) -> None:
-    positions = points(300, 4)
-    positions[:100] = np.nan
-    positions[280:, :2] = np.nan
-    positions[100:104, 2] = np.nan  # it is seen later than the others: the stretch begins there
-    motion = read_c3d(write(tmp_path / "take.c3d", positions, ("A", "B", "C", "D"), Y_SCREEN=["+Y"], UNITS=["m"]))
-    assert motion.num_frames == 176 and motion.skeleton.num_joints == 4
-    assert np.allclose(motion.joint_positions, positions[104:280], rtol=1e-5)
-
-
 def test_what_is_no_labelled_marker_is_left_out(tmp_path: Path) -> None:
     labels = ("Anna:LASI", "*12", "Anna:LHipAngles", "Anna:LASI")
     path = write(tmp_path / "take.c3d", points(30, 4), labels, ANGLES=["Anna:LHipAngles"])
