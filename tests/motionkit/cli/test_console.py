@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.cli import console
-from motionkit.cli.console import LineConsole, parse_rate, print_json, read_options
+from motionkit.cli.console import LineConsole, parse_rate, print_json, print_table, read_options
 from motionkit.cli.train import tensorboard_events
 from motionkit.core.errors import MotionkitError, UsageError, describe, printable
 from motionkit.core.progress import Progress, warn
@@ -106,6 +106,16 @@ def test_warnings_are_lines_on_stderr(monkeypatch: pytest.MonkeyPatch, capsys: p
     warnings.simplefilter("always", RuntimeWarning)
     warnings.warn("of others", RuntimeWarning, stacklevel=1)
     assert capsys.readouterr() == ("other: of others\n", 2 * "motionkit: warning: [bold] of a\\nb\n")
+
+
+@pytest.mark.parametrize("name", ["real, disjoint halves of the takes (P2)", "a\x1b[2Jb"])
+def test_five_framerates_stand_beside_each_other_in_80_columns(name: str) -> None:
+    file, numbers = io.StringIO(), ["0.420 ± 0.306", "2.42 ± 1.52", "–", "16.8 ± 1.8", "1.72"]
+    print_table([f"{rate} fps" for rate in (20, 40, 60, 100, 120)], [(name, numbers)], LineConsole(file=file, width=80))
+    lines = [line.rstrip() for line in file.getvalue().splitlines()]
+    assert max(map(len, lines)) <= 80 and lines.count("") == 1, "one piece"
+    assert {"20", "120", "0.420", "±0.306", "–", "1.72"} <= set(" ".join(lines).split())
+    assert "\x1b" not in file.getvalue()
 
 
 def test_framerates_are_exact() -> None:
