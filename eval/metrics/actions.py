@@ -130,28 +130,14 @@ def multimodality_by_class(
 
 
 _T2M, _A2M = "text-to-motion (Guo et al. 2022)", "action-to-motion (Guo et al. 2020)"
+_OURS, _BY_ACTION = "motionkit: pairs of two different motions", "MultiModality (by action"
+_REPLACED, _ALL_REPLACED = (partial(function, replace=True) for function in (multimodality_by_class, diversity))
 METRICS = (
     Metric("accuracy", "Accuracy", "", True, _A2M, accuracy, by_frames),
     Metric("diversity", "Diversity", "", None, "text-to-motion; NeRM Eq. 7", diversity),
-    Metric(
-        "diversity_with_replacement", "Diversity (with replacement)", "", None, _A2M, partial(diversity, replace=True)
-    ),
+    Metric("diversity_with_replacement", "Diversity (with replacement)", "", None, _A2M, _ALL_REPLACED),
     Metric("multimodality", "MultiModality", "", None, "NeRM Eq. 8", multimodality, by_frames),
     Metric("multimodality_shared_pairs", "MultiModality (shared pairs)", "", None, _T2M, multimodality_shared_pairs),
-    Metric(
-        "multimodality_by_class",
-        "MultiModality (by action)",
-        "",
-        None,
-        "motionkit: pairs of two different motions",
-        multimodality_by_class,
-    ),
-    Metric(
-        "multimodality_by_class_with_replacement",
-        "MultiModality (by action, with replacement)",
-        "",
-        None,
-        _A2M,
-        partial(multimodality_by_class, replace=True),
-    ),
+    Metric("multimodality_by_class", f"{_BY_ACTION})", "", None, _OURS, multimodality_by_class),
+    Metric("multimodality_by_class_with_replacement", f"{_BY_ACTION}, with replacement)", "", None, _A2M, _REPLACED),
 )

@@ -77,17 +77,12 @@ def by_frames(first: Array, *_: Array) -> float:
     return float(len(first))
 
 
-def by_steps(first: Array, *_: Array) -> float:
-    """Weight: number of steps from a frame to the next."""
-    return float(len(first) - 1)
-
-
 def by_clips(first: Array, *_: Array) -> float:
     """Weight: number of clips [*clips, frames, numbers]."""
     return float(np.prod(first.shape[:-2]))
 
 
-def by_clip_steps(order: int) -> Callable[..., float]:
+def by_steps(order: int) -> Callable[..., float]:
     """Weight: number of differences of this order along the frames of clips [*clips, frames, joints, 3]."""
     return lambda first, *_: float(np.prod(first.shape[:-3]) * (first.shape[-3] - order))
 
@@ -95,11 +90,6 @@ def by_clip_steps(order: int) -> Callable[..., float]:
 def by_clip_frames(first: Array, *_: Array) -> float:
     """Weight: number of frames of clips [clips, frames, …]."""
     return float(first.shape[0] * first.shape[1])
-
-
-def by_numbers(first: Array, *_: Array) -> float:
-    """Weight: number of elements."""
-    return float(first.size)
 
 
 @cache

@@ -5,19 +5,12 @@ has the same weight. Axes are y up, lengths metres, velocities per second.
 """
 
 import math
+from functools import partial
 
 import numpy as np
 
 from eval.metrics.distributions import checked_features
-from eval.metrics.metric import (
-    Metric,
-    by_clip_frames,
-    by_clip_steps,
-    by_clips,
-    by_frames,
-    by_numbers,
-    by_steps,
-)
+from eval.metrics.metric import Metric, by_clip_frames, by_clips, by_frames, by_steps
 from motionkit.core.shapes import Bool, Float, Float64
 
 Positions = Float[np.ndarray, "*clips frames joints 3"]
@@ -151,27 +144,19 @@ def l2p(predicted: Positions, target: Positions, std: Float[np.ndarray, "joints 
     return float(np.sqrt(np.square(difference).sum(axis=(-2, -1))).mean())
 
 
-def l2q(predicted: Quaternions, target: Quaternions) -> float:
+def l2q(predicted: Quaternions, target: Quaternions, *, align_signs: bool = True) -> float:
     """Mean over frames of √Σ(q̂ − q)² over all joints' global quaternions, each with the sign nearer to the true one.
 
-    q and −q are the same rotation: without aligned signs the value depends on how the quaternions were computed. Raises
+    q and −q are the same rotation: without aligned signs the value depends on how the quaternions were computed. The
+    benchmark's own code does not align them (`align_signs=False`): signs should then be continuous in each clip and
+    start alike on both sides, and a body that turns by more than half a turn is farther from its first pose. Raises
     `ValueError` for quaternions that are not of unit length. Source: Harvey et al. 2020; signs as in delta-interpolator
     (Oreshkin et al. 2022).
     """
-    difference = checked_rotations(predicted, target)
-    opposite = predicted.astype(np.float64) + target
-    squared = np.minimum(np.square(difference).sum(axis=-1), np.square(opposite).sum(axis=-1))
+    squared = np.square(checked_rotations(predicted, target)).sum(axis=-1)
+    if align_signs:
+        squared = np.minimum(squared, np.square(predicted.astype(np.float64) + target).sum(axis=-1))
     return float(np.sqrt(squared.sum(axis=-1)).mean())
-
-
-def l2q_as_signed(predicted: Quaternions, target: Quaternions) -> float:
-    """`l2q` without aligning the signs: what the benchmark's own code computes.
-
-    Signs should be continuous in each clip and start alike on both sides; a body that turns by more than half a turn is
-    then farther from its first pose than by `l2q`. Source: Harvey et al. 2020.
-    """
-    difference = checked_rotations(predicted, target)
-    return float(np.sqrt(np.square(difference).sum(axis=(-2, -1))).mean())
 
 
 def npss(predicted: Vectors, target: Vectors) -> float:
@@ -298,39 +283,24 @@ def skating_speed(
     return float((speed * (2.0 - np.exp2(np.clip(height, 0.0, 1.0)))).mean())
 
 
-_HARVEY, _DIFFERENCES = "Harvey et al. 2020", "mean joint distance of differences"
-_GEODESIC = "geodesic distance on SO(3)"
+_HARVEY, _KANAZAWA, _GEODESIC = "Harvey et al. 2020", "Kanazawa et al. 2019", "geodesic distance on SO(3)"
+_FIRST, _THIRD = "mean joint distance of differences", "mean joint distance of third differences"
+_SIGNED = partial(l2q, align_signs=False)
 METRICS = (
     Metric("mpjpe_global", "MPJPE (global)", "m", False, "Ionescu et al. 2014", mpjpe_global, by_frames),
     Metric("mpjpe", "MPJPE", "m", False, "motion-latent-diffusion; NeRM Table 4", mpjpe_root_aligned, by_frames),
     Metric("mpjpe_procrustes", "MPJPE (Procrustes)", "m", False, "Gower 1975", mpjpe_procrustes, by_frames),
     Metric("rotation_angle_error", "Rotation error", "°", False, _GEODESIC, rotation_angle_error, by_frames),
-    Metric("mre", "MRE", "raw", False, "NeRM Table 4, as a root mean square", mre, by_numbers, exponent=2),
+    Metric("mre", "MRE", "raw", False, "NeRM Table 4, as a root mean square", mre, by_frames, exponent=2),
     Metric("mean_vector_distance", "MRE (L2 norm)", "raw", False, "NeRM Table 4", mean_vector_distance, by_frames),
-    Metric("velocity_error", "Velocity error", "m/s", False, _DIFFERENCES, velocity_error, by_clip_steps(1)),
-    Metric(
-        "acceleration_error",
-        "Acceleration error",
-        "m/s²",
-        False,
-        "Kanazawa et al. 2019",
-        acceleration_error,
-        by_clip_steps(2),
-    ),
-    Metric(
-        "jerk_error",
-        "Jerk error",
-        "m/s³",
-        False,
-        "mean joint distance of third differences",
-        jerk_error,
-        by_clip_steps(3),
-    ),
+    Metric("velocity_error", "Velocity error", "m/s", False, _FIRST, velocity_error, by_steps(1)),
+    Metric("acceleration_error", "Acceleration error", "m/s²", False, _KANAZAWA, acceleration_error, by_steps(2)),
+    Metric("jerk_error", "Jerk error", "m/s³", False, _THIRD, jerk_error, by_steps(3)),
     Metric("l2p", "L2P", "", False, _HARVEY, l2p, by_clip_frames),
     Metric("l2q", "L2Q", "", False, _HARVEY, l2q, by_clip_frames),
-    Metric("l2q_as_signed", "L2Q (signs as they come)", "", False, _HARVEY, l2q_as_signed, by_clip_frames),
+    Metric("l2q_as_signed", "L2Q (signs as they come)", "", False, _HARVEY, _SIGNED, by_clip_frames),
     Metric("npss", "NPSS", "", False, "Gopalakrishnan et al. 2019", npss, lambda _, target: npss_weight(target)),
     Metric("psnr", "PSNR", "dB", True, "motionkit", psnr, by_clips),
     Metric("ssim", "SSIM", "", True, "Wang et al. 2004", ssim, by_clips),
-    Metric("skating_speed", "Foot skating", "m/s", False, "Zhang et al. 2018; NeMF", skating_speed, by_steps),
+    Metric("skating_speed", "Foot skating", "m/s", False, "Zhang et al. 2018; NeMF", skating_speed, by_steps(1)),
 )

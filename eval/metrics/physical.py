@@ -14,8 +14,9 @@ import numpy as np
 
 from eval.metrics.distributions import checked_features
 from eval.metrics.metric import Metric
+from eval.metrics.physical_published import FEET
 from motionkit.core.shapes import Bool, Float, Float64
-from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import Framerate, parse_fps
 from motionkit.fields.resample import resample_positions
 
@@ -53,17 +54,13 @@ class FootRests:
         return np.asarray(slowest[np.isfinite(slowest)])
 
 
-def foot_rests(positions: Positions, fps: Framerate, skeleton: Skeleton = SMPL22) -> FootRests:
+def foot_rests(positions: Positions, fps: Framerate) -> FootRests:
     """Which ankles and toes are on the ground, and their horizontal speed over the 0.1 s that follow.
 
     A joint is low while it stays within 2 cm of its own lowest level (exceeded for 95 % of the time): ankles are higher
-    than toes, and within 5 cm runners' feet swing. Positions are linearly interpolated. Raises `ValueError` for a
-    skeleton without feet.
+    than toes, and within 5 cm runners' feet swing. Positions are linearly interpolated.
     """
-    feet = skeleton.feet
-    if feet is None:
-        raise ValueError(f"skeleton {skeleton.name!r} has no feet")
-    values = _checked(positions)[:, [feet.left_ankle, feet.left_toe, feet.right_ankle, feet.right_toe]]
+    values = _checked(positions)[:, FEET]
     reach = SLIDE_SECONDS * float(parse_fps(fps))
     whole = int(reach + 1e-9)
     share = max(0.0, reach - whole)
@@ -139,14 +136,13 @@ def jitter(positions: Positions, fps: Framerate) -> float | None:
     return 1000.0 * float(np.median(np.linalg.norm(sosfiltfilt(sections, motion, axis=0), axis=-1)))
 
 
-def bone_length_drift(positions: Positions, fps: Framerate, skeleton: Skeleton = SMPL22) -> float | None:
+def bone_length_drift(positions: Positions, fps: Framerate) -> float | None:
     """Mean over bones of (longest − shortest) / mean length, lengths averaged over stretches of about 0.5 s.
 
     Averaged because noise and resampling perturb every frame a little. None if no bone has a length.
     """
     values = _checked(positions)
-    joints = [joint for joint, parent in enumerate(skeleton.parents) if parent >= 0]
-    lengths = np.linalg.norm(values[:, joints] - values[:, [skeleton.parents[joint] for joint in joints]], axis=-1)
+    lengths = np.linalg.norm(values[:, 1:] - values[:, list(SMPL22.parents[1:])], axis=-1)
     num = max(1, int(len(lengths) / (BONE_SECONDS * float(parse_fps(fps)))))
     edges = np.linspace(0, len(lengths), num + 1).astype(np.int64)
     means = np.add.reduceat(lengths, edges[:-1], axis=0) / np.diff(edges)[:, None]
@@ -165,22 +161,14 @@ def _at(positions: Positions, fps: Framerate, wanted: Fraction) -> Float64[np.nd
 
 _GAMES = "docs/results/physical.md"
 _FREEZE = f"a frozen body has none, slow motion less, {_GAMES}"
-_CONSISTENT = f"a frozen body has 1, {_GAMES}"
+_AGREEMENT, _CONSISTENT = "height_speed_agreement", f"a frozen body has 1, {_GAMES}"
 _NOISE = f"white noise of 0.3 mm brings upsampled motion nearer to real motion's, {_GAMES}"
 
 METRICS = (
     Metric("slide_speed", "Skating speed", "m/s", None, "motionkit", slide_speed, calibration=_FREEZE),
     Metric("slide_share", "Skating share", "", None, "motionkit", slide_share, calibration=_FREEZE),
     Metric("contact_share", "Time on the ground", "", None, "motionkit", contact_share),
-    Metric(
-        "height_speed_agreement",
-        "Contact consistency",
-        "",
-        None,
-        "motionkit",
-        height_speed_agreement,
-        calibration=_CONSISTENT,
-    ),
+    Metric(_AGREEMENT, "Contact consistency", "", None, "motionkit", height_speed_agreement, calibration=_CONSISTENT),
     Metric("ground_height", "Floor", "mm", None, "motionkit", ground_height),
     Metric("jerk", "Jerk below 10 Hz", "m/s³", None, "motionkit", jerk),
     Metric("jitter", "Jitter of 10 to 20 Hz", "mm", None, "motionkit", jitter, calibration=_NOISE),

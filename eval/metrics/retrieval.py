@@ -70,14 +70,15 @@ def clip_score(queries: Float[np.ndarray, "pairs numbers"], candidates: Float[np
     """
     if queries.shape != candidates.shape:
         raise ValueError(f"queries are {queries.shape}, candidates {candidates.shape}: one of either for each pair")
-    units = []
-    for name, rows in (("queries", queries), ("candidates", candidates)):
-        values = checked_features(rows, name, minimum=1)
-        lengths = np.linalg.norm(values, axis=1, keepdims=True)
-        if not (lengths > 0).all():
-            raise ValueError(f"{name}: an embedding of length 0 has no direction")
-        units.append(values / lengths)
-    return float(np.einsum("ij,ij->i", *units).mean())
+    return float(np.einsum("ij,ij->i", _directions(queries, "queries"), _directions(candidates, "candidates")).mean())
+
+
+def _directions(rows: Float[np.ndarray, "rows numbers"], name: str) -> Float64[np.ndarray, "rows numbers"]:
+    values = checked_features(rows, name, minimum=1)
+    lengths = np.linalg.norm(values, axis=1, keepdims=True)
+    if not (lengths > 0).all():
+        raise ValueError(f"{name}: a row of length 0 has no direction")
+    return np.asarray(values / lengths)
 
 
 def tmr_score(queries: Float[np.ndarray, "pairs numbers"], candidates: Float[np.ndarray, "pairs numbers"]) -> float:
@@ -88,12 +89,8 @@ def tmr_score(queries: Float[np.ndarray, "pairs numbers"], candidates: Float[np.
 def cosines(
     a: Float[np.ndarray, "rows numbers"], b: Float[np.ndarray, "others numbers"]
 ) -> Float64[np.ndarray, "rows others"]:
-    """Cosines of the angles between all rows. Raises `ValueError` for a row of zeros."""
-    x, y = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
-    lengths = np.linalg.norm(x, axis=1), np.linalg.norm(y, axis=1)
-    if not all((each > 0).all() for each in lengths):
-        raise ValueError("a row of zeros has no direction")
-    return np.asarray((x / lengths[0][:, None]) @ (y / lengths[1][:, None]).T)
+    """Cosines of the angles between all rows. Raises `ValueError` for a row of zeros, NaN or infinity."""
+    return np.asarray(_directions(a, "a") @ _directions(b, "b").T)
 
 
 def least_similar(similarity: Float[np.ndarray, "rows rows"], number: int) -> Int64[np.ndarray, "chosen"]:

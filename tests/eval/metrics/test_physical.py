@@ -21,7 +21,6 @@ from eval.metrics.physical import (
     slide_share,
     slide_speed,
 )
-from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
 from tests.helpers.analytic import analytic_motion
@@ -142,6 +141,3 @@ def test_too_short_to_say() -> None:
     for metric in METRICS:
         with pytest.raises(ValueError, match="NaN"):
             metric.function(broken, Fraction(60))
-    no_feet = Skeleton("stick", ("a", "b"), (-1, 0), SMPL22.offsets[:2])
-    with pytest.raises(ValueError, match="'stick' has no feet"):
-        foot_rests(np.zeros((9, 2, 3)), 60.0, no_feet)
