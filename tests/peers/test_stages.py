@@ -32,7 +32,6 @@ from tests.helpers.tiny_temporal import SYSTEMS, TEMPORAL_PEERS
 
 ON_GRIDS_ONLY = ("liif", "meta-sr", "a-liif", "lmf")
 MODELS = ("mdm", "mdm-50", "mld", "inr-mlp", "actor", "t2m", "camdm", "flow", "jl2p", "hier", "nemf")
-# Those that draw nothing.
 DETERMINISTIC = ("jl2p", "hier")
 # How those are sampled that have so many steps.
 FEW_STEPS = dict.fromkeys(("mdm", "mdm-50", "mld", "camdm"), SamplingOptions(steps=4))
