@@ -34,7 +34,7 @@ from motionkit.training.devices import resolve_device
 from motionkit.training.loop import load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from motionkit.training.networks import VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunFolder, StageFolder
-from nerm.latents import KnotLayout, LocalLatents, local_latents, relative_to
+from nerm.latents import Bank, LocalLatents, local_latents, relative_to
 from nerm.network import EncodedCoordinates, FieldNetwork
 from nerm.recipes import FieldConfig
 
@@ -68,16 +68,16 @@ def ridge_knots(
     targets: Float[Tensor, "windows times width"],
     coordinates: Float64[Tensor, "windows times"],
     counts: Float[Tensor, "windows times"],
-    layout: KnotLayout,
+    bank: Bank,
     ridge: float,
 ) -> Float32[Tensor, "windows knots width"]:
     """Fit knots to targets at given coordinates by ridge regression.
 
     `counts` weights the instants; the ridge is in units of one instant.
     """
-    weights = layout.interpolant(coordinates.reshape(-1)).reshape(*coordinates.shape, layout.num_knots)
+    weights = bank.interpolant(coordinates.reshape(-1)).reshape(*coordinates.shape, bank.num_knots)
     counted = (weights * counts[..., None]).transpose(1, 2)
-    gram = counted @ weights + ridge * torch.eye(layout.num_knots, dtype=torch.float64)
+    gram = counted @ weights + ridge * torch.eye(bank.num_knots, dtype=torch.float64)
     knots: Tensor = torch.linalg.solve(gram, counted @ targets.double())
     return knots.float()
 
@@ -115,7 +115,7 @@ class LinearModel:
         scores = self.components.scores(relative)
         of_bank = torch.split(scores, [bank.numbers for bank in self.banks.pose], dim=-1)
         pose_knots = [
-            ridge_knots(targets, batch.coordinates, counts, bank.knots, self.ridge)
+            ridge_knots(targets, batch.coordinates, counts, bank, self.ridge)
             for targets, bank in zip(of_bank, self.banks.pose, strict=True)
         ]
         return self.banks.join([*pose_knots, *path_knots])
@@ -181,13 +181,12 @@ def _without_path(
     standardised = scaling.apply(batch.vectors)
     if banks.path is None:
         return [], standardised
-    layout = banks.path.knots
     x, z = (standardised[..., number].double() for number in ROOT_PATH)
     heading = field.heading(field.decode(batch.vectors.numpy())).astype(np.float64)
     measured = torch.stack((x, z, torch.from_numpy(np.unwrap(heading, axis=1))), dim=-1)
     units = banks.path_units().double()
-    knots = ridge_knots(measured / units, batch.coordinates, counts, layout, ridge)
-    weights = layout.interpolant(batch.coordinates.reshape(-1)).reshape(*batch.coordinates.shape, -1)
+    knots = ridge_knots(measured / units, batch.coordinates, counts, banks.path, ridge)
+    weights = banks.path.interpolant(batch.coordinates.reshape(-1)).reshape(*batch.coordinates.shape, -1)
     path = (weights @ knots.double()) * units
     return [knots], relative_to(standardised, path.float())
 

@@ -28,10 +28,14 @@ LANCZOS_RADIUS = 3.0
 
 
 @dataclass(frozen=True)
-class KnotLayout:
-    """Basis functions of `num_knots` knots: the interpolant, the radius of windows in knot spacings, and the modes."""
+class Bank:
+    """`num_knots` knots with some numbers each, and their basis functions.
+
+    `kernel` is the interpolant, `radius` that of windows in knot spacings, `modes` the number of waves.
+    """
 
     num_knots: int
+    numbers: int
     kernel: Kernel
     radius: float
     modes: int
@@ -148,14 +152,6 @@ def _moved(
     return torch.cat((root, vectors[..., 3:]), dim=-1)
 
 
-@dataclass(frozen=True)
-class Bank:
-    """Knots with some numbers each."""
-
-    knots: KnotLayout
-    numbers: int
-
-
 @dataclass(frozen=True, eq=False)
 class LatentNumbers:
     """Describes each number of z.
@@ -212,12 +208,12 @@ class LocalLatents:
     @property
     def num_segments(self) -> int:
         """Number of segments of time with whole knots of every bank."""
-        return math.gcd(*(bank.knots.num_knots for bank in self.banks))
+        return math.gcd(*(bank.num_knots for bank in self.banks))
 
     @property
     def dimension(self) -> int:
         """d."""
-        return sum(bank.knots.num_knots * bank.numbers for bank in self.banks)
+        return sum(bank.num_knots * bank.numbers for bank in self.banks)
 
     @property
     def num_components(self) -> int:
@@ -228,7 +224,7 @@ class LocalLatents:
     def num_inputs(self) -> int:
         """Size of the network's input from z at an instant."""
         of_path = 0 if self.path is None else NUM_PATH_NUMBERS
-        return of_path + sum(bank.numbers * (1 + 2 * bank.knots.modes) for bank in self.pose)
+        return of_path + sum(bank.numbers * (1 + 2 * bank.modes) for bank in self.pose)
 
     @property
     def phase_period(self) -> float:
@@ -238,10 +234,10 @@ class LocalLatents:
     def split(self, latents: Float[Tensor, "batch latent"]) -> list[Float[Tensor, "batch _ _"]]:
         """z → [batch, knots, numbers] of each bank."""
         segments = latents.reshape(len(latents), self.num_segments, latents.shape[1] // self.num_segments)
-        sizes = [bank.knots.num_knots // self.num_segments * bank.numbers for bank in self.banks]
+        sizes = [bank.num_knots // self.num_segments * bank.numbers for bank in self.banks]
         of_bank = torch.split(segments, sizes, dim=-1)
         return [
-            knots.reshape(len(latents), bank.knots.num_knots, bank.numbers)
+            knots.reshape(len(latents), bank.num_knots, bank.numbers)
             for knots, bank in zip(of_bank, self.banks, strict=True)
         ]
 
@@ -254,13 +250,13 @@ class LocalLatents:
         bank, knot, component, centre, reach = [], [], [], [], []
         first_component = 0
         for index, each in enumerate(self.banks):
-            shape = (1, each.knots.num_knots, each.numbers)
+            shape = (1, each.num_knots, each.numbers)
             first = 0 if each is self.path else first_component
             bank.append(torch.full(shape, index))
-            knot.append(torch.arange(each.knots.num_knots)[None, :, None].expand(shape))
+            knot.append(torch.arange(each.num_knots)[None, :, None].expand(shape))
             component.append((first + torch.arange(each.numbers)).expand(shape))
-            centre.append(each.knots.centres()[None, :, None].expand(shape))
-            reach.append(torch.full(shape, each.knots.reach * each.knots.spacing, dtype=torch.float64))
+            centre.append(each.centres()[None, :, None].expand(shape))
+            reach.append(torch.full(shape, each.reach * each.spacing, dtype=torch.float64))
             first_component += each.numbers
         return LatentNumbers(*(self.join(values)[0] for values in (bank, knot, component, centre, reach)))
 
@@ -268,9 +264,8 @@ class LocalLatents:
         """Weights for reading at these coordinates."""
         path = None
         if self.path is not None:
-            knots = self.path.knots
-            path = torch.stack((knots.interpolant(coordinates), knots.slope(coordinates)), dim=1).float()
-        return KnotWeights(tuple(bank.knots.basis(coordinates) for bank in self.pose), path)
+            path = torch.stack((self.path.interpolant(coordinates), self.path.slope(coordinates)), dim=1).float()
+        return KnotWeights(tuple(bank.basis(coordinates) for bank in self.pose), path)
 
     def read(
         self,
@@ -300,14 +295,11 @@ def local_latents(config: FieldConfig) -> LocalLatents | None:
     if config.latents.layout != "local":
         return None
 
-    def knots(count: int, modes: int) -> KnotLayout:
-        return KnotLayout(count, config.latents.kernel, config.latents.radius, modes)
-
-    pose = tuple(
-        Bank(knots(count, config.latents.modes), numbers)
-        for count, numbers in zip(config.latents.knots, config.latents.knot_numbers, strict=True)
-    )
-    path = Bank(knots(config.latents.path_knots, 0), NUM_PATH_NUMBERS) if config.latents.path_knots else None
+    latents = config.latents
+    shape = latents.kernel, latents.radius
+    banks = zip(latents.knots, latents.knot_numbers, strict=True)
+    pose = tuple(Bank(count, numbers, *shape, latents.modes) for count, numbers in banks)
+    path = Bank(latents.path_knots, NUM_PATH_NUMBERS, *shape, 0) if latents.path_knots else None
     return LocalLatents(pose, path, config.loss.root_weight)
 
 

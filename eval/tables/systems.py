@@ -40,7 +40,7 @@ from motionkit.edit.encoders import installed_encoders
 from motionkit.fields.motion_field import MotionEncoder, MotionField
 from motionkit.generate.models import GenerativeModel, installed_models
 from motionkit.store.reader import Store
-from motionkit.training.detail import has_detail, load_detail
+from motionkit.training.detail import load_detail
 from motionkit.training.run import Loader, RunError, RunFolder
 
 COLUMNS = tuple(Fraction(rate) for rate in (20, 40, 60, 100, 120))
@@ -184,7 +184,7 @@ def generated_fields(config: EvalConfig, real: SampleSet) -> tuple[ModelFields, 
     run, most, draws = config.run, config.max_motions, config.draws
     models = trained_models(run, config.missing)
     check_sample_names(config.samples, models)
-    detail = load_detail(run) if run is not None and has_detail(run) else None
+    detail = load_detail(run) if run is not None and RunFolder(run).stage("detail").is_complete else None
     rows: dict[RowId, dict[Window, MotionField]] = {}
     for name, trained in tracked(config.on_progress, "systems", models.items(), len(models)):
         with config.missing.skipping(name):

@@ -72,11 +72,6 @@ def _check(context: StageContext, config: DetailConfig) -> None:
     _fast_sequences(context, config)
 
 
-def has_detail(run: Path) -> bool:
-    """Whether a run's stage `detail` is trained."""
-    return RunFolder(run).stage(NAME).is_complete
-
-
 def load_detail(run: Path) -> Detail:
     """Load a run's detail; raises `RunError`, with the command that trains it, if it has none."""
     stage = RunFolder(run).stage(NAME)

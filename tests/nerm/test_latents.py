@@ -17,8 +17,8 @@ from motionkit.training.config import apply_overrides
 from motionkit.training.networks import VectorScaling, measure_scaling
 from nerm.field import LinearModel, PoseTensors, held, linear_model, ridge_knots
 from nerm.latents import (
+    Bank,
     Kernel,
-    KnotLayout,
     LocalLatents,
     first_read,
     in_use,
@@ -42,7 +42,7 @@ TIMES = torch.linspace(-1, 1, 301, dtype=torch.float64)
 
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_the_slope_is_the_interpolant_s_derivative(kernel: Kernel) -> None:
-    layout = KnotLayout(7, kernel, 2.0, 0)
+    layout = Bank(7, 1, kernel, 2.0, 0)
     times = TIMES[1:-1].clone().requires_grad_()
     knots = torch.randn(7, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     (derivative,) = torch.autograd.grad((layout.interpolant(times) @ knots).sum(), times)
@@ -51,7 +51,7 @@ def test_the_slope_is_the_interpolant_s_derivative(kernel: Kernel) -> None:
 
 @given(st.integers(0, 2**31), st.sampled_from(KERNELS), st.sampled_from([1.0, 2.0]))
 def test_ridge_knots_recover_what_knots_made(seed: int, kernel: Kernel, radius: float) -> None:
-    layout = KnotLayout(9, kernel, radius, 1)
+    layout = Bank(9, 3, kernel, radius, 1)
     knots = torch.randn(2, 9, 3, generator=torch.Generator().manual_seed(seed))
     times = TIMES[::3].repeat(2, 1)
     made = mix(knots, layout.basis(times.reshape(-1)).reshape(2, 101, 3, 9))[..., :3]

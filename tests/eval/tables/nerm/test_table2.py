@@ -180,9 +180,11 @@ def test_a_run_that_has_learnt_detail_has_a_row_with_it(
 ) -> None:
     install_models(monkeypatch, lambda run: ScriptedModel(truth))
     learnt = fit_detail([capture(Fraction(120), seconds=3.0, noise=0.002).joint_positions])
-    monkeypatch.setattr("eval.tables.systems.has_detail", lambda run: run.name == "run")
     monkeypatch.setattr("eval.tables.systems.load_detail", lambda run: learnt)
-    result = build(store, tmp_path, run=trained_run(tmp_path / "run"))
+    run = trained_run(tmp_path / "run")
+    (run / "detail").mkdir()
+    (run / "detail" / "summary.json").touch()
+    result = build(store, tmp_path, run=run)
     rows = rows_of(result)
     standing, fine = (str(RowId(NERM, variant)) for variant in (Variant.PLANTED, Variant.DETAILED))
     assert rows[fine]["20 fps"] == pytest.approx(rows[standing]["20 fps"])
