@@ -91,13 +91,19 @@ class EvaluatorNetwork(nn.Module):
         self.register_buffer("scale", torch.ones(NUM_CHANNELS))
         self.convolutions = nn.Sequential(
             *(nn.Conv1d(NUM_CHANNELS, config.convolution, 4, 2, 1), nn.LeakyReLU(0.2)),
-            *(nn.Conv1d(config.convolution, config.convolution, 4, 2, 1), nn.LeakyReLU(0.2)),
+            *(
+                nn.Conv1d(config.convolution, config.convolution, 4, 2, 1),
+                nn.LeakyReLU(0.2),
+                nn.Dropout(config.dropout),
+            ),
         )
         self.recurrent = nn.GRU(config.convolution, config.recurrent, batch_first=True, bidirectional=True)
-        self.motion = nn.Linear(2 * config.recurrent + config.convolution, config.shared)
+        self.motion = nn.Sequential(
+            nn.Dropout(config.dropout), nn.Linear(2 * config.recurrent + config.convolution, config.shared)
+        )
         self.text = nn.Sequential(
             nn.Linear(text_dimension, config.text_hidden),
-            nn.LeakyReLU(0.2),
+            *(nn.LeakyReLU(0.2), nn.Dropout(config.dropout)),
             nn.Linear(config.text_hidden, config.shared),
         )
 

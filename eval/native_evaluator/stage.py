@@ -13,13 +13,15 @@ from motionkit.training.run import Stage
 class NetworkConfig:
     """Widths of the convolutions, each direction of the GRU, the space shared with text, and the text's hidden layer.
 
-    With `unit_length` embeddings have length 1, so that their distances rank as cosines do (TMR).
+    `dropout` is that of hidden layers in training. With `unit_length` embeddings have length 1, so that their distances
+    rank as cosines do (TMR).
     """
 
     convolution: int = 128
     recurrent: int = 128
     shared: int = 128
     text_hidden: int = 256
+    dropout: float = 0.3
     unit_length: bool = False
 
 

@@ -28,7 +28,7 @@ from motionkit.store.cache import PositionCache, cache_root, open_cache
 from motionkit.store.reader import Store
 from motionkit.training.config import to_plain
 from motionkit.training.devices import resolve_device
-from motionkit.training.loop import Learner, save_tensors, seeded_initialisation
+from motionkit.training.loop import Learner, dropout_from, save_tensors, seeded_initialisation
 from motionkit.training.run import StageContext
 from motionkit.training.text import embed_texts, load_text_encoder
 
@@ -141,7 +141,8 @@ class EvaluatorTraining:
         raw, sentences = self._draw(rng)
         noise = training.noise * torch.randn(raw.shape, generator=generator)
         inputs = self.network.standardised(raw.to(self.device)) + noise.to(self.device)
-        motions, texts = self.network.embed_motions(inputs), self.network.embed_texts(sentences)
+        with dropout_from(generator, self.device):
+            motions, texts = self.network.embed_motions(inputs), self.network.embed_texts(sentences)
         loss = matching_loss(motions, texts, sentences, training.temperature, training.same_above)
         rate = schedule.factor(step, self.steps) * schedule.learning_rate
         self.learner.descend(loss, step, rate, training.gradient_clip)
