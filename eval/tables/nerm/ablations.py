@@ -66,11 +66,11 @@ def compute(ablation: Ablation, config: EvalConfig, store: Store) -> Content:
     for title, metric in METRICS.items():
         rows = []
         for entry in ablation.entries:
-            by_seed = runs[entry.name].values()
-            cells = _mean([numbers[run][title] for run in by_seed if title in numbers[run]])
-            steps = sorted({run.stage(encoder.stages[-1]).effort().get("steps", "?") for run in by_seed})
-            note = f"{len(by_seed)} seeds; field: {' or '.join(steps)} steps"
-            if not cells:
+            trained = [run for run in runs[entry.name].values() if title != SYNTHESIS or run in generating]
+            cells = _mean([numbers[run][title] for run in trained if title in numbers[run]])
+            steps = sorted({run.stage(encoder.stages[-1]).effort().get("steps", "?") for run in trained})
+            note = f"field of {' or '.join(steps)} steps" + (f", {len(trained)} seeds" if len(trained) > 1 else "")
+            if not trained:
                 note = f"not trained: {command} --only {entry.variant.name}"
             rows.append(Row(entry.label, "ours", cells, note))
         if any(row.cells for row in rows):
