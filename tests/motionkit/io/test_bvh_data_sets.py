@@ -79,15 +79,6 @@ def test_takes_are_cut_and_know_style_and_movement(folder: Path) -> None:
     assert motion.provenance.source_format == "100style"
 
 
-def test_a_dropped_t_pose_does_not_move_the_cut(folder: Path) -> None:
-    table = rows()
-    table[0] = [0.0, 95.0, 1.0, *([0.0] * (NUM_BVH_CHANNELS - 3))]
-    path = folder / "Aeroplane" / "Aeroplane_BR.bvh"
-    path.write_text(bvh_text(table))
-    motion = read_100style(path)
-    assert motion.num_frames == 5 and motion.joint_positions[0, 0, 2] == pytest.approx(0.02)
-
-
 @pytest.mark.parametrize(
     "table",
     [

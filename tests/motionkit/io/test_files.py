@@ -100,13 +100,3 @@ def test_another_suffix_is_refused_with_those_there_are(motion: mk.Motion, tmp_p
     with pytest.raises(mk.UsageError, match=r"\.bvh"):
         mk.write(motion, tmp_path / name)
     assert not list(tmp_path.iterdir())
-
-
-def test_joints_of_another_skeleton_become_the_22(motion: mk.Motion, tmp_path: Path) -> None:
-    mk.write(motion, tmp_path / "walk.bvh")
-    own = mk.read(tmp_path / "walk.bvh", unit_metres=0.01)
-    assert own.skeleton != mk.SMPL22
-    mk.write(own, tmp_path / "walk.npy")
-    assert np.load(tmp_path / "walk.npy").shape == (motion.num_frames, 22, 3)
-    with pytest.raises(ValueError, match=r"motions\.json"):
-        mk.write(own.resample(20), tmp_path / "slow.npy")

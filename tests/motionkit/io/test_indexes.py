@@ -106,14 +106,6 @@ def tmr(**changes: object) -> dict[str, object]:
     return {"path": "KIT/4/walk01_poses", "duration": 3.78, "annotations": [said], **changes}
 
 
-def test_annotations_of_parts(tmp_path):
-    said = [{"text": "turns", "start": 2.5, "end": 1.0}, {"text": "all of it", "start": 1.0, "end": 3.0}]
-    index = read(tmp_path, json.dumps({"a": tmr(annotations=said)}), "mine-annotations.json")
-    assert index.name == "mine"
-    assert index.entries[0].cut == TimeCut(1.0, 3.0, 3.78)
-    assert index.entries[0].captions == (Caption("turns", 0.0, 1.5), Caption("all of it", 0.0, None))
-
-
 @pytest.mark.parametrize(
     "value",
     [

@@ -9,7 +9,7 @@ import pytest
 
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion
-from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
+from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io.joints_csv import read_joints_csv, write_joints_csv
 from motionkit.io.joints_npy import read_humanact12, read_joints_npy, write_joints_npy
@@ -44,15 +44,6 @@ def test_joints_of_a_layout_in_any_order_are_that_layout(tmp_path, layout):
     motion = read_joints_csv(tmp_path / "b.csv")
     assert motion.skeleton is layout
     assert motion.timegrid == TimeGrid(Fraction(30), 3, 2.5)
-    np.testing.assert_array_equal(motion.joint_positions, positions)
-
-
-def test_names_with_commas_and_digits_of_any_framerate_survive(tmp_path):
-    skeleton = Skeleton("odd", ('a, "b"', "c_x"), (-1, 0), np.zeros((2, 3), np.float32))
-    positions = np.random.default_rng(0).normal(size=(50, 2, 3)).astype(np.float32)
-    write_joints_csv(Motion(positions, skeleton, TimeGrid(Fraction(24000, 1001), 50)), tmp_path / "a.csv")
-    motion = read_joints_csv(tmp_path / "a.csv")
-    assert (motion.fps, motion.skeleton.joint_names) == (Fraction(24000, 1001), skeleton.joint_names)
     np.testing.assert_array_equal(motion.joint_positions, positions)
 
 

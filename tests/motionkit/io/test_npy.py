@@ -54,14 +54,6 @@ def test_arrays_that_are_refused(content: bytes, reason: str, frame: int | None)
     assert (error.path, error.reason, error.frame) == (PATH, reason, frame)
 
 
-@pytest.mark.parametrize("dtype", ["<f2", ">f4", "<f8", "<i2"])
-def test_numbers_of_any_width_and_order_become_float32(dtype: str) -> None:
-    array = np.asfortranarray(POSES.astype(dtype))
-    found = npy.read_npy(PATH, saved(array), (None, 22, 3))
-    assert found.dtype == np.float32
-    np.testing.assert_array_equal(found, array.astype(np.float32))
-
-
 # Archives.
 
 

@@ -1,7 +1,6 @@
 """The training cache holds the store's frames bit by bit, follows the store, and is rebuilt when damaged."""
 
 import itertools
-import os
 import pickle
 import shutil
 from fractions import Fraction
@@ -12,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from motionkit.core.errors import DamagedFileError, StoreError, UsageError
+from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.core.progress import Progress
 from motionkit.core.skeleton import KIT21, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
@@ -173,13 +172,3 @@ def test_caches_in_another_folder(small_store, tmp_path, monkeypatch):
     store = Store.open(small_store)
     assert open_cache(store).path.parent == tmp_path / "scratch" / store.fingerprint
     assert not (small_store / "cache").exists()
-
-
-def test_a_store_that_cannot_be_written(small_store, monkeypatch):
-    def refuse(path: Path, *arguments: object, **options: object) -> None:
-        raise PermissionError(13, os.strerror(13), str(path))
-
-    store = Store.open(small_store)
-    monkeypatch.setattr(Path, "mkdir", refuse)
-    with pytest.raises(StoreError, match="MOTIONKIT_CACHE"):
-        open_cache(store)
