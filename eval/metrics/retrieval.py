@@ -120,14 +120,6 @@ class RPrecision:
     matching_distance: float
 
 
-@dataclass(frozen=True, eq=False)
-class BothWays:
-    """R-Precision of the same pools in both directions; the matching distance is the same in both."""
-
-    text_asks: RPrecision
-    motion_asks: RPrecision
-
-
 def r_precision(
     queries: Float[np.ndarray, "pairs numbers"],
     candidates: Float[np.ndarray, "pairs numbers"],
@@ -180,11 +172,6 @@ def ranked(distances: Float64[np.ndarray, "pools pool pool"], ranks: int = RANKS
     own = np.diagonal(distances, axis1=1, axis2=2)
     top = np.array([found.mean() for found in hits(distances, ranks)])
     return RPrecision(top, float(own.mean()))
-
-
-def ranked_both_ways(distances: Float64[np.ndarray, "pools texts motions"], ranks: int = RANKS) -> BothWays:
-    """R-Precision in both directions from pools' distances with texts as rows and motions as columns."""
-    return BothWays(ranked(distances, ranks), ranked(distances.swapaxes(1, 2), ranks))
 
 
 _T2M, _TMR = "text-to-motion (Guo et al. 2022)", "TMR (Petrovich et al. 2023)"
