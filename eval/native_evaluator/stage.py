@@ -70,11 +70,11 @@ class EvaluatorConfig:
 WIDE = NetworkConfig(convolution=256, recurrent=512, shared=256, text_hidden=512)
 # The widths of Guo et al. (text-to-motion, networks/modules.py).
 GUO = NetworkConfig(convolution=512, recurrent=1024, shared=512, text_hidden=1024)
-# Of a recipe: network, steps, batch size, learning rate, seconds of motion per framerate. nano takes two cores some two
-# minutes, base and paper are for a GPU.
+# Network, steps, batch size, learning rate, seconds of motion per framerate. nano takes under three minutes
+# of two cores, base and paper are for a GPU.
 SIZES = {
-    "nano": (NetworkConfig(), 1500, 64, 2e-3, 3600.0),
-    "small": (NetworkConfig(), 1500, 64, 2e-3, 3600.0),
+    "nano": (NetworkConfig(), 2200, 64, 2e-3, 3600.0),
+    "small": (NetworkConfig(), 2200, 64, 2e-3, 3600.0),
     "demo": (NetworkConfig(), 250, 64, 2e-3, 3600.0),
     "base": (WIDE, 50_000, 512, 5e-4, 36_000.0),
     "paper": (GUO, 200_000, 512, 1e-4, 144_000.0),
