@@ -12,7 +12,16 @@ import pytest
 ROOT = Path(__file__).parents[1]
 OWN = {"motionkit", "nerm", "pahires", "peers", "eval", "benchmarks", "tests"}
 # Imported where the user has them, with a message that names the extra or the package; jaxtyping where it is loaded.
-OPTIONAL = {"huggingface_hub", "imageio_ffmpeg", "jaxtyping", "ray", "rerun", "torchmetrics", "transformers"}
+OPTIONAL = {
+    "huggingface_hub",
+    "imageio_ffmpeg",
+    "jaxtyping",
+    "ray",
+    "rerun",
+    "tokenizers",
+    "torchmetrics",
+    "transformers",
+}
 
 
 def imported(folder: str) -> set[str]:
