@@ -11,16 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+import motionkit as mk
 from motionkit.core.motion import Caption, Motion
-from motionkit.features import humanml3d
-from motionkit.features.humanml3d import process
 from motionkit.fields.motion_field import to_motion
 from motionkit.io.bvh import read_bvh, read_document, write_bvh
 from motionkit.io.joints_npy import read_joints_npy
 from motionkit.io.npz import read_npz, write_npz
 from motionkit.store import StoreWriter
 from tests.helpers.analytic import analytic_motion
-from tests.helpers.encoder_package import write_encoder_package
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
 from tests.helpers.outcome import Outcome
 from tests.helpers.repository import REPOSITORY
@@ -86,34 +84,6 @@ def test_gaps_and_ends_with_json(motionkit: Run, walk: Path, motion: Motion) -> 
     assert made.num_frames == int(0.2 * 59.94) + int(59.94 * ((last - 1) / 30 + 0.2)) + 1
 
 
-def test_npz_keeps_all_it_knows(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
-    write_npz(motion, tmp_path / "walk.npz")
-    assert motionkit("complete", tmp_path / "walk.npz", "--fps", "60").code == 0
-    made = read_npz(tmp_path / "walk.completed.npz")
-    np.testing.assert_array_equal(made.joint_positions[::2], motion.joint_positions)
-    assert made.captions == motion.captions and made.skeleton == motion.skeleton
-    assert (made.local_rotations is None) == (motion.local_rotations is None)
-    assert made.provenance.operations[-1].startswith("complete 60 frames at 30 fps -> 119 at 60")
-
-
-def test_arrays_of_joints_and_of_vectors(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
-    np.save(tmp_path / "joints.npy", motion.joint_positions)
-    vectors = humanml3d.vectors(process(motion.joint_positions, "smpl22"), "smpl22")
-    np.save(tmp_path / "vectors.npy", vectors)
-    told = motionkit("complete", tmp_path / "joints.npy", "--fps", "120")
-    assert told.code == 1 and "framerate" in told.stderr
-    outcome = motionkit("complete", tmp_path / "joints.npy", "--fps", "120", "--source-fps", "30")
-    made = read_joints_npy(Path(outcome.stdout.strip()))
-    assert made.fps == 120  # by the motions.json of a folder of its own
-    np.testing.assert_array_equal(made.joint_positions[::4], motion.joint_positions)
-    assert not (tmp_path / "motions.json").exists()
-    outcome = motionkit("complete", tmp_path / "vectors.npy", "--fps", "40")
-    made_vectors = np.load(outcome.stdout.strip())
-    assert made_vectors.shape == (2 * (len(vectors) - 1), 263)
-    again = humanml3d.positions(made_vectors, "smpl22")
-    np.testing.assert_allclose(again[::2], humanml3d.positions(vectors, "smpl22")[:-1], atol=2e-4)
-
-
 def test_ids_of_a_store(motionkit: Run, tmp_path: Path, motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
     with StoreWriter.create(tmp_path / "store") as writer:
         writer.add(replace(motion, sequence_id="set/walk"))
@@ -149,19 +119,36 @@ def test_a_bad_file_costs_nothing_of_the_others(motionkit: Run, tmp_path: Path, 
     assert len(report["clips"]) == 2
 
 
-@pytest.fixture
-def learnt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Runs of which one has the encoder of an installed package trained."""
-    site, runs = write_encoder_package(tmp_path)
-    monkeypatch.syspath_prepend(str(site))
-    return runs
+LEARNT = """
+from motionkit.core.skeleton import SMPL22
+from motionkit.fields.interpolation import INTERPOLATORS
+
+class Learnt:
+    name, longest_gap_seconds, reach_seconds = "Learnt", 0.2, 0.1
+    def encode(self, observation, **reach):
+        assert observation.skeleton.joint_names == SMPL22.joint_names
+        return INTERPOLATORS["hold"].encode(observation, **reach)
+
+def load(run):
+    (run / "learnt" / "summary.json").read_text()
+    return Learnt()
+
+ENCODERS = {"learnt": load}
+"""
 
 
-def test_trained_encoders_complete_own_skeletons(motionkit: Run, tmp_path: Path, learnt: Path) -> None:
+def test_trained_encoders_complete_own_skeletons(
+    motionkit: Run, tmp_path: Path, install: Callable[[str, str], None]
+) -> None:
+    """By the encoder of an installed package, which is for 22 joints and holds poses."""
+    install("learnt", LEARNT)
+    (tmp_path / "runs" / "nano" / "learnt").mkdir(parents=True)
+    (tmp_path / "runs" / "nano" / "learnt" / "summary.json").write_text("{}", encoding="utf-8")
     walk = tmp_path / "own.bvh"
     walk.write_text(bvh_text([[10.0 * row, 95.0, *[5.0 * row] * (NUM_BVH_CHANNELS - 2)] for row in range(20)]), "utf-8")
-    asked = ("--runs", learnt, "--keep", "0:8,16:", "--extend", "0.2", "--model", "learnt", "--overwrite", "--json")
-    outcome = motionkit("complete", walk, *asked)
+    places = ("--runs", tmp_path / "runs", "--overwrite", "--json")
+    options = (*places, "--keep", "0:8,16:", "--extend", "0.2", "--model", "learnt")
+    outcome = motionkit("complete", walk, *options)
     assert outcome.code == 0 and "Learnt, trained in" in outcome.stderr
     (clip,) = json.loads(outcome.stdout)["clips"]
     assert clip["encoder"] == "learnt"
@@ -169,16 +156,47 @@ def test_trained_encoders_complete_own_skeletons(motionkit: Run, tmp_path: Path,
     assert "0.30 s is longer than the 0.20 s" in gap and "0.2 s beyond" in reach
     before, after = read_document(walk), read_document(Path(clip["file"]))
     assert after.lines[:8] == before.lines[:8] and after.lines[16:20] == before.lines[16:]
-    # It stands still where it knows nothing, led from one given frame to the other: no interpolator does that.
-    plain = read_bvh(Path(motionkit("complete", walk, *asked[:6], "--overwrite").stdout.strip()))
-    assert np.abs(plain.joint_positions[8:16] - after.poses.joint_positions[8:16]).max() > 0.01
     dog = tmp_path / "dog.bvh"
     dog.write_text(re.sub(r"\b(Left|Right|Hips|Spine|Neck|Head)", r"dog\1", walk.read_text("utf-8")), "utf-8")
-    outcome = motionkit("complete", dog, *asked)
-    (clip,) = json.loads(outcome.stdout)["clips"]
+    (clip,) = json.loads(motionkit("complete", dog, *options).stdout)["clips"]
     assert clip["encoder"] == "rotation-cubic" and "learnt does not support its skeleton" in clip["warnings"][0]
     outcome = motionkit("complete", walk, "--fps", "60", "--model", "learnt", "--runs", tmp_path)
     assert outcome.code == 2 and "train --stage learnt" in outcome.stderr
+
+
+@pytest.mark.parametrize("command", [("complete", "--fps", "60", "--model", "slerp"), ("plant",)])
+@pytest.mark.parametrize("suffix", [".bvh", ".npz", ".csv", ".glb", ".npy"])
+def test_the_suffix_of_out_decides_the_format(
+    motionkit: Run, walk: Path, command: tuple[str, ...], suffix: str
+) -> None:
+    name, *options = command
+    out = walk.parent / f"other{suffix}"
+    outcome = motionkit(name, walk, *options, "--out", out)
+    assert outcome.code == 0 and outcome.stdout.split() == [str(out)]
+    if suffix == ".glb":  # the rest can be read again
+        assert out.read_bytes()[:4] == b"glTF"
+    else:
+        assert mk.read(out).fps == (60 if name == "complete" else 30)
+
+
+def test_what_was_completed_is_no_capture(motionkit: Run, takes: Path, tmp_path: Path) -> None:
+    assert motionkit("complete", takes / "alpha.bvh", "--fps", "60", "--model", "slerp").code == 0
+    outcome = motionkit("ingest", takes, "--store", tmp_path / "store")
+    assert "stored 3 sequences" in outcome.stdout
+    assert "alpha.completed.bvh" in next(line for line in outcome.stdout.splitlines() if line.startswith("ignored: 1"))
+
+
+def test_arrays_need_a_framerate_by_the_option_of_the_command(motionkit: Run, tmp_path: Path, motion: Motion) -> None:
+    path = tmp_path / "joints.npy"
+    np.save(path, motion.joint_positions)
+    for command, option in (("complete --fps 120", "--source-fps"), ("plant", "--source-fps"), ("view", "--fps")):
+        name, *options = command.split()
+        outcome = motionkit(name, path, *options)
+        assert outcome.code == 1 and f"use {option}" in outcome.stderr
+    outcome = motionkit("complete", path, "--fps", "120", "--source-fps", "30")
+    result = read_joints_npy(Path(outcome.stdout.strip()))
+    assert result.fps == 120  # by the motions.json of a folder of its own
+    np.testing.assert_array_equal(result.joint_positions[::4], motion.joint_positions)
 
 
 @pytest.mark.parametrize(
