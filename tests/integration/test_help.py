@@ -1,0 +1,80 @@
+"""What the command line says of itself: help, versions, completion; and the example of every command, run."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+import typer
+from rich.text import Text
+
+import motionkit as mk
+from motionkit.cli.app import build_app
+from tests.helpers.analytic import capture
+from tests.helpers.outcome import Outcome
+
+# In the order in which a person would come to them.
+RUN = (
+    *("ingest", "info", "split", "validate", "query", "view", "complete", "plant", "merge", "export", "samples"),
+    *("study", "ablate", "push", "remove", "compact"),
+)
+# These train first: test_from_takes_to_a_table runs such commands out of README, test_front_door the demo. What is
+# pulled has to be pushed: test_hub. test_convert converts.
+ELSEWHERE = ("train", "generate", "eval", "report", "demo", "pull", "convert")
+COMMANDS = typer.main.get_command(build_app()).commands  # type: ignore[attr-defined]
+
+
+def examples() -> dict[str, list[str]]:
+    """The words behind `motionkit` of each command's example."""
+    lines = {name: re.findall(r"^Example: motionkit (.*)$", each.help, re.MULTILINE) for name, each in COMMANDS.items()}
+    return {name: shlex.split(each[0]) if len(each) == 1 else [] for name, each in lines.items()}
+
+
+def test_every_command_has_one_example_of_its_own() -> None:
+    assert examples().keys() == {*RUN, *ELSEWHERE}
+    assert [name for name, words in examples().items() if words[:1] != [name]] == []
+
+
+def test_the_examples_run(motionkit: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for variable in ("STORE", "RUNS", "RESULTS", "CACHE"):
+        monkeypatch.delenv(f"MOTIONKIT_{variable}", raising=False)
+    for name, action in (("walk", "walk"), ("jump", "squat"), ("wave", "wave")):
+        motion = capture(Fraction(60), action, 3.0)
+        mk.write(replace(motion, captions=()), tmp_path / "takes" / f"{name}.bvh")
+    for name in RUN:
+        outcome = motionkit(*examples()[name])
+        assert outcome.code == 0, (name, outcome.stderr)
+    assert [path for path in ("out", "tests") if not (tmp_path / path).exists()] == []
+
+
+def test_no_help_text_is_read_as_markup() -> None:
+    """Rich takes [words] in brackets for its own and drops them."""
+    texts = [each.help for command in COMMANDS.values() for each in command.params if getattr(each, "help", "")]
+    assert len(texts) > 50
+    assert [text for text in texts if Text.from_markup(text).plain != text] == []
+
+
+def test_versions(motionkit: Callable[..., Outcome]) -> None:
+    assert motionkit("--version").stdout == f"motionkit {version('motionkit')}\n"
+    verbose = motionkit("--version", "--verbose")
+    topics = {line.split()[0] for line in verbose.stdout.splitlines()}
+    assert verbose.code == 0 and {"motionkit", "python", "torch", "threads", "extra"} <= topics
+
+
+@pytest.mark.parametrize(("typed", "completed"), [("comp", {"compact", "complete"}), ("remove --wh", {"--where"})])
+def test_bash_completes_commands_and_options(typed: str, completed: set[str]) -> None:
+    words = f"motionkit {typed}"
+    environment = {"_MOTIONKIT_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    script = "import sys; sys.argv[0] = 'motionkit'; from motionkit.cli.app import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=os.environ | environment, capture_output=True, text=True, check=True
+    )
+    assert set(done.stdout.split()) == completed
