@@ -5,7 +5,6 @@ face Z+ at its middle. It is searched for among all training windows, as it is a
 The distance of two windows is the root mean square difference of bones, in metres on the reference body.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -14,7 +13,7 @@ import numpy as np
 from eval.sets.motions import low_pass
 from eval.sets.sets import SampleSet
 from motionkit.core.mirror import mirror_positions
-from motionkit.core.shapes import Bool, Float32, Float64, Int64
+from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.field import heading
 from motionkit.fields.resample import resample_positions
@@ -49,20 +48,14 @@ BONE_LENGTHS = _bone_lengths()
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """Every moving window of a set: its motion, its movement and its distance to training motion, in metres."""
+    """Every moving window of a set: its motion, its distance to training motion in metres, and as a share of movement.
+
+    A window's movement is the root mean square deviation of its bones from their means.
+    """
 
     motion: Int64[np.ndarray, "windows"]
-    movement: Float64[np.ndarray, "windows"]
     distance: Float64[np.ndarray, "windows"]
-
-    @property
-    def relative(self) -> Float64[np.ndarray, "windows"]:
-        """Distance as a share of the movement."""
-        return np.asarray(self.distance / self.movement)
-
-    def is_copied(self, limit: float) -> Bool[np.ndarray, "windows"]:
-        """Windows that are nearer to training motion, for how much they move, than a limit."""
-        return self.relative < limit
+    relative: Float64[np.ndarray, "windows"]
 
 
 def held_out_limit(held_out: Nearest) -> float:
@@ -84,8 +77,7 @@ class TrainingWindows:
     @classmethod
     def of(cls, training: SampleSet) -> "TrainingWindows":
         """Raises `ValueError` if no motion lasts a second."""
-        found = [_windows(bones, TRAINING_EVERY) for bones in _tracks(training, Fraction(1), mirrored=False)]
-        rows = np.concatenate(found) if found else np.empty((0, 0), np.float32)
+        rows = np.concatenate([_windows(_slow(each, training.fps), TRAINING_EVERY) for each in training.sequences])
         if not len(rows):
             raise ValueError("no training motion lasts a second")
         some = rows[:: -(-len(rows) // BASIS_WINDOWS)]
@@ -95,29 +87,24 @@ class TrainingWindows:
 
     def nearest(self, samples: SampleSet) -> Nearest:
         """The nearest training window to every moving window of a set, a quarter of a second apart."""
-        motions, movements, best = [], [], []
-        for number in range(samples.num_sequences):
-            one = samples.select([number])
+        motion, distance, relative = [np.empty(0, np.int64)], [np.empty(0)], [np.empty(0)]
+        for number, positions in enumerate(samples.sequences):
             windows = [
-                _windows(bones, QUERY_EVERY, tempo)
+                _windows(_slow(positions, samples.fps * tempo, mirrored), QUERY_EVERY, tempo)
                 for tempo in TEMPI
                 for mirrored in (False, True)
-                for bones in _tracks(one, tempo, mirrored)
             ]
-            count = min(map(len, windows), default=0)
-            if not count:
-                continue
-            own = windows[2 * TEMPI.index(Fraction(1))][:count].reshape(count, len(POSES), -1)
+            count = min(map(len, windows))
+            own = windows[2 * TEMPI.index(Fraction(1))][:count].reshape(count, len(POSES), len(PARENTS) * 3)
             deviation = np.square(own - own.mean(axis=1, keepdims=True)).sum(axis=(1, 2))
             movement = np.sqrt(deviation / (len(POSES) * len(PARENTS)))
             moving = movement >= STILL_METRES
-            nearest = np.min([self._distance(each[:count][moving]) for each in windows], axis=0)
-            motions.append(np.full(int(moving.sum()), number))
-            movements.append(movement[moving].astype(np.float64))
-            best.append(nearest)
-        if not motions:
-            return Nearest(np.empty(0, np.int64), np.empty(0), np.empty(0))
-        return Nearest(np.concatenate(motions), np.concatenate(movements), np.concatenate(best))
+            if moving.any():
+                nearest = np.min([self._distance(each[:count][moving]) for each in windows], axis=0)
+                motion.append(np.full(len(nearest), number))
+                distance.append(nearest)
+                relative.append(nearest / movement[moving])
+        return Nearest(np.concatenate(motion), np.concatenate(distance), np.concatenate(relative))
 
     def _distance(self, windows: Float32[np.ndarray, "queries numbers"]) -> Float64[np.ndarray, "queries"]:
         """Root mean square difference of bones to the nearest training window."""
@@ -138,12 +125,12 @@ def _reduced(
     return np.column_stack((projected, np.sqrt(np.maximum(rest, 0.0)))).astype(np.float32)
 
 
-def _tracks(samples: SampleSet, tempo: Fraction, mirrored: bool) -> Iterator[Float64[np.ndarray, "_frames 22 3"]]:
-    """Joint positions at 20 fps below 5 Hz, of motions played at a tempo."""
-    for positions in samples.sequences:
-        sides = mirror_positions(positions, SMPL22.left_right_pairs) if mirrored else positions
-        slow = resample_positions(sides, samples.fps * tempo, FPS).astype(np.float64)
-        yield low_pass(slow, float(FPS), SMOOTH_HZ)
+def _slow(
+    positions: Float32[np.ndarray, "_frames 22 3"], fps: Fraction, mirrored: bool = False
+) -> Float64[np.ndarray, "_slow_frames 22 3"]:
+    """Joint positions at 20 fps below 5 Hz; a higher framerate than the motion's plays it faster."""
+    sides = mirror_positions(positions, SMPL22.left_right_pairs) if mirrored else positions
+    return low_pass(resample_positions(sides, fps, FPS).astype(np.float64), float(FPS), SMOOTH_HZ)
 
 
 def _windows(

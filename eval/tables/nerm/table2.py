@@ -216,7 +216,6 @@ def copies_block(
     Sets without a moving second have no row. Raises `ValueError` where the training motion is too short.
     """
     windows = TrainingWindows.of(training)
-    windows = TrainingWindows.of(training)
     found = {}
     # One thread is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
@@ -227,7 +226,7 @@ def copies_block(
     for row, nearest in found.items():
         if not len(nearest.distance):
             continue
-        cells = {COPIED: Cell(100.0 * float(nearest.is_copied(limit).mean()))}
+        cells = {COPIED: Cell(100.0 * float((nearest.relative < limit).mean()))}
         cells |= {name: Cell(1000.0 * float(np.quantile(nearest.distance, share))) for name, share in SHARES.items()}
         count = f"{len(np.unique(nearest.motion))} motions, {len(nearest.distance)} windows"
         note = "; ".join(filter(None, (count, notes.get(row, ""))))
