@@ -66,10 +66,3 @@ def test_a_package_of_somebodys_that_hides_ours_is_reported(tmp_path: Path, name
         if hidden:
             (line,) = done.stderr.splitlines()
             assert str(theirs) in line and "Leave its folder out of PYTHONPATH" in line
-
-
-def test_no_module_of_ours_hides_one_of_theirs() -> None:
-    import eval
-
-    ours = {path.stem for path in Path(eval.__file__).parent.iterdir()}
-    assert ours.isdisjoint({"eval_humanml", "eval_humanact12_uestc", "unconstrained", "a2m"})

@@ -8,7 +8,7 @@ import pytest
 import scipy.ndimage
 
 from eval.clip_fid.score import ClipError
-from eval.detail import RealDetail, bands_at, detail_profile
+from eval.detail import RealDetail, detail_profile
 from eval.sets.motions import low_pass
 from eval.sets.sets import sample_set
 from motionkit.core.errors import UsageError
@@ -55,12 +55,6 @@ def test_louder_fast_motion_has_as_much_more_energy(real: RealDetail, gain: floa
         return slow + gain * (take - slow)
 
     assert changed(real, louder)["18–27 Hz"] == pytest.approx(20 * np.log10(gain), abs=1.5)
-
-
-@pytest.mark.parametrize(("fps", "edges"), [(40, [12, 18]), (60, [12, 18, 27]), (100, [12, 18, 27, 40, 50])])
-def test_bands_are_those_that_a_framerate_holds(fps: int, edges: list[int]) -> None:
-    bands = bands_at(Fraction(fps))
-    assert [bands[0][0], *(high for _, high in bands)] == edges
 
 
 def test_few_takes_have_no_range_and_slow_motion_no_profile() -> None:

@@ -17,7 +17,7 @@ from eval import ClipFID, DeclaredMean, RPrecision, clip_fid
 from eval.clip_fid import score
 from eval.clip_fid.score import ClipError
 from eval.metrics.actions import accuracy
-from eval.metrics.motion import acceleration_error, l2p, l2q, mpjpe_root_aligned, mre, npss, skating_speed
+from eval.metrics.motion import acceleration_error, l2p, l2q, mpjpe_root_aligned, mre, npss
 from eval.metrics.retrieval import r_precision
 
 RNG = np.random.default_rng(0)
@@ -75,15 +75,6 @@ def test_the_value_is_the_functions_whatever_the_batches(name: str) -> None:
     second.reset()
     second.update(*(torch.from_numpy(array[48:]) for array in arrays))
     assert float(second.compute()) == pytest.approx(alone, rel=1e-12) and alone != expected
-
-
-def test_sequences_of_feet_count_by_their_steps() -> None:
-    feet = [RNG.uniform(0, 0.1, size=(length, 4, 3)).cumsum(axis=0) * [1, 0, 1] for length in (10, 31)]
-    whole = DeclaredMean("skating_speed", fps=30, floor=-0.01)
-    for each in feet:
-        whole.update(torch.from_numpy(each))
-    values = [skating_speed(each, 30.0, floor=-0.01) for each in feet]
-    assert float(whole.compute()) == pytest.approx((9 * values[0] + 30 * values[1]) / 39, rel=1e-12)
 
 
 def test_r_precision_is_the_functions_and_draws_pools_of_all_pairs() -> None:

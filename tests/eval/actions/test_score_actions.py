@@ -9,7 +9,6 @@ from scipy.spatial.distance import pdist
 
 from eval.actions.scores import ACTION_PROTOCOLS, Recognition, find_action_protocol, score_actions
 from eval.metrics.metric import find_metric
-from motionkit.core.errors import UsageError
 
 CLASSES = 4
 
@@ -78,11 +77,3 @@ def test_more_motions_than_a_protocol_counts_are_thinned_and_fewer_are_reported(
         "diversity_with_replacement",
         "multimodality_by_class_with_replacement",
     }
-
-
-def test_refusals() -> None:
-    native = find_action_protocol("native")
-    with pytest.raises(ValueError, match="no set of motions"):
-        score_actions({}, [], native, seed=0)
-    with pytest.raises(UsageError, match="no action protocol 't2m': native, a2m, actor, mdm"):
-        find_action_protocol("t2m")

@@ -46,12 +46,6 @@ def test_pooled_scores_are_those_of_all_clips_measured_at_once(sizes: list[int],
         assert means[0] == pytest.approx(means[1], rel=1e-9)
 
 
-def test_rows_that_a_data_set_lacks_are_not_pooled() -> None:
-    both = pooled([{"a": scores(40, 1), "b": scores(1, 1)}, {"a": scores(30, 3)}])
-    assert list(both) == ["a"]
-    assert mean_over_takes(both["a"]["psnr"]["×2"]).value == 32.5
-
-
 def test_data_sets_of_a_framerate_are_pooled_before_all_others() -> None:
     scopes = [
         Scope("CMU, 30 fps", Fraction(30), {"hold": scores(30, 1)}),

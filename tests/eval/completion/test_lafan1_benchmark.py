@@ -4,16 +4,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from eval.completion.data_sets import NoTakesError
 from eval.completion.encoders import HOLD, INTERPOLATION, Completer
 from eval.completion.scores import mean_over_takes
-from eval.completion.windows import BENCHMARK_WINDOWS, PoseWindows, gaps, lafan1_windows, measure_windows
+from eval.completion.windows import BENCHMARK_WINDOWS, gaps, lafan1_windows, measure_windows
 from motionkit.core import kinematics
 from motionkit.core.motion import Motion, Provenance
 from motionkit.core.skeleton import Skeleton
@@ -186,41 +184,3 @@ def test_windows_of_subject_5_are_strictly_inside_their_takes(store: Store, moti
     assert windows.num_windows == 4 and windows.num_training_windows == 4
     assert windows.remark.startswith(f"subject 5, 4 windows (the whole data set has {BENCHMARK_WINDOWS:,})")
     np.testing.assert_allclose(windows.skeleton.offsets, motions["aiming1_subject1"].skeleton.offsets, atol=1e-4)
-
-
-def test_an_encoder_that_knows_the_answer_scores_zero(store: Store) -> None:
-    windows = lafan1_windows(store)
-    truthful = replace(HOLD, name="truth", encoder=Truth(windows))
-    found = measure_windows(windows, gaps((15,)), truthful)
-    for metric, expected in (("l2p", 1e-3), ("l2q", 1e-3), ("npss", 1e-3), ("mpjpe_global", 1e-4)):
-        assert mean_over_takes(found[metric]["15 frames"]).value < expected
-
-
-def test_a_store_without_lafan1_says_what_is_looked_for(tmp_path: Path, motions: dict[str, Motion]) -> None:
-    with StoreWriter.create(tmp_path / "store") as writer:
-        writer.add(motions["walk3_subject5"])
-    with pytest.raises(
-        NoTakesError, match="no take of LaFAN1's subject1 or subject2 or subject3 or subject4 at 30 fps"
-    ):
-        lafan1_windows(Store.open(tmp_path / "store"))
-
-
-class Truth:
-    """Answers with the windows that it was made of, signs drawn at random."""
-
-    name = "truth"
-
-    def __init__(self, windows: PoseWindows) -> None:
-        self.windows, self.rng, self.asked = windows, np.random.default_rng(0), 0
-
-    def query_many(self, observations: list, times_seconds: np.ndarray) -> list:  # type: ignore[type-arg]
-        frames = np.rint(times_seconds * 30).astype(int)
-        made = []
-        for observation in observations:
-            local = self.windows.local_rotations[self.asked, frames]
-            local = local * self.rng.choice([-1, 1], (len(frames), 22, 1)).astype(np.float32)
-            root = self.windows.root_translation[self.asked, frames]
-            positions = kinematics.forward_kinematics(local, root, observation.skeleton)
-            made.append(type(observation.poses)(positions, local, root))
-            self.asked += 1
-        return made

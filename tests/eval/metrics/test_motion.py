@@ -92,23 +92,6 @@ def test_rotation_error_is_the_angle_between_whatever_the_signs() -> None:
         assert found == pytest.approx(np.degrees(angle[k]), rel=1e-6)
 
 
-@pytest.mark.parametrize("fps", [20.0, 120.0])
-def test_skating_of_one_foot_joint_of_four(fps: float) -> None:
-    # On the floor every sliding joint counts in full; at half of its height H by 2 − √2.
-    half = 0.25 * (2 - 2**0.5)
-    for height, floor, expected in (
-        (0.0, 0.0, 0.25),
-        (0.04, 0.0, half),
-        (0.08, 0.0, 0.0),
-        (-0.5, 0.0, 0.25),
-        (0.54, 0.5, half),
-    ):
-        feet = np.zeros((int(2 * fps) + 1, 4, 3))
-        feet[..., 1] = height
-        feet[:, 0, ::2] = np.arange(len(feet))[:, None] / fps * [0.6, 0.8]
-        assert skating_speed(feet, fps, floor=floor) == pytest.approx(expected)
-
-
 def test_skating_agrees_with_loops() -> None:
     feet = np.random.default_rng(2).uniform(0, 0.1, size=(30, 2, 3))
     total = 0.0
@@ -194,20 +177,13 @@ def test_refusals() -> None:
     for call, reason in (
         (lambda: mpjpe_global(clip[:0], clip[:0]), "no frames"),
         (lambda: mpjpe_root_aligned(broken, clip), "NaN"),
-        (lambda: npss(broken, clip), "NaN"),
-        (lambda: ssim(broken, clip), "NaN"),
         (lambda: npss(clip, clip), "no power"),
         (lambda: ssim(clip[:, :6], clip[:, :6]), "at least 7"),
         (lambda: psnr(clip, clip, np.zeros(8, dtype=bool)), "no frame is synthesised"),
-        (lambda: psnr(clip, clip, np.ones(7, dtype=bool)), "8 frames and 7 marks"),
         (lambda: to_unit_range(clip, np.zeros(3), np.zeros(3)), "not positive"),
-        (lambda: l2p(clip[:1, :, None], clip[:1, :, None], np.zeros((1, 3))), "not positive"),
         (lambda: l2q(0.8 * quaternions, quaternions), "predicted: quaternions must have unit length"),
-        (lambda: rotation_angle_error(quaternions, 2 * quaternions), "target: quaternions must have unit length"),
         (lambda: jerk_error(still, still, 20.0), "at least 4 frames"),
-        (lambda: velocity_error(broken, clip, 20.0), "NaN"),
         (lambda: velocity_error(clip, clip, 0.0), "fps must be positive"),
-        (lambda: skating_speed(broken[:, :2], 20.0, (0.1, 0.1)), "the first is row 0"),
         (lambda: skating_speed(still, 20.0), "2 foot joints and heights"),
     ):
         with pytest.raises(ValueError, match=reason):

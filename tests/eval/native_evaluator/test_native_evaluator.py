@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eval.metrics.retrieval import retrieval
-from eval.native_evaluator.evaluator import NUM_CHANNELS, NativeEvaluator, load_evaluator, motion_input
+from eval.native_evaluator.evaluator import NativeEvaluator, load_evaluator, motion_input
 from eval.native_evaluator.stage import EvaluatorConfig, NetworkConfig, TrainingConfig, native, tmr
-from eval.native_evaluator.training import build_bank, matching_loss, train_evaluator
+from eval.native_evaluator.training import matching_loss, train_evaluator
 from eval.sets.damage import translate, turn
-from eval.sets.sets import Ragged, sample_set
+from eval.sets.sets import sample_set
 from eval.text_motion.embedder import TextMotionEvaluator
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.kinematics import forward_kinematics
@@ -155,45 +155,6 @@ def test_input_ignores_where_and_which_way(yaw: float, x: float, z: float, fps: 
     clips = swinging(24, int(fps), 1)[None].astype(np.float64)
     moved = translate(turn(clips, yaw), np.array([[x, z]]))
     assert np.allclose(motion_input(moved, fps), motion_input(clips, fps), atol=1e-5)
-
-
-def test_input_means_the_same_at_every_framerate() -> None:
-    slow, fast = (motion_input(swinging(fps, fps, 2)[None], float(fps)).numpy() for fps in (60, 120))
-    assert slow.shape == (1, 60, NUM_CHANNELS)
-    assert np.allclose(fast[:, ::2, -1] - slow[..., -1], np.log(2.0))
-    # Forward differences of the slower clip look further ahead: they agree to first order.
-    assert np.abs(slow[:, :-1, :64] - fast[:, :-2:2, :64]).max() < 1e-5
-    assert np.abs(slow[:, :-1, 64:-1] - fast[:, :-2:2, 64:-1]).max() < 0.2
-
-
-def test_a_glitch_is_held_within_five_deviations(evaluator: NativeEvaluator) -> None:
-    glitched = swinging(32, 60, 0)[None].copy()
-    glitched[0, 16, 20] += 3000.0
-    assert evaluator.network.standardised(motion_input(glitched, 60.0)).abs().max() == 5.0
-
-
-def test_a_bank_holds_what_sentences_describe_of_sequences_that_reach_its_framerate() -> None:
-    line = np.arange(120, dtype=np.float32)[:, None, None] * np.ones((1, 22, 3), dtype=np.float32)
-    captions = [
-        [Caption("whole"), Caption("all of it"), Caption("its second second", 1.0, 2.0)],
-        [Caption("too slow")],
-        [Caption("  ")],
-        [Caption("a moment", 0.0, 0.1)],
-    ]
-    row_of: dict[str, int] = {}
-    rates = [Fraction(60), Fraction(20), Fraction(60), Fraction(60)]
-    rng = np.random.default_rng(0)
-    bank = build_bank(Ragged.of([line] * 4), rates, captions, Fraction(60), 1e9, rng, row_of)
-    assert bank is not None
-    assert bank.motions.num_frames.tolist() == [120, 60] and list(row_of) == ["whole", "all of it", "its second second"]
-    clips, sentences = bank.draw(rng, 300, 30)
-    first = clips[:, 0, 0, 0]
-    assert np.all(np.diff(clips[..., 0, 0], axis=1) == 1) and set(sentences) == {0, 1, 2}
-    assert first.min() < 5 and first.max() == 90 and first[sentences == 2].min() == 60
-    assert bank.draw(rng, 5, 500)[0].shape[1] == 120
-    assert build_bank(Ragged.of([line] * 4), rates, captions, Fraction(120), 1e9, rng, row_of) is None
-    some = build_bank(Ragged.of([line] * 4), rates, [captions[0]] * 4, Fraction(60), 4.0, rng, row_of)
-    assert some is not None and len(some.motions) == 4  # two sequences, of 3 described seconds each
 
 
 @pytest.mark.parametrize("unit_length", [False, True])

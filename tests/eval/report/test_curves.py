@@ -50,8 +50,6 @@ def test_blocks_become_panels_with_the_papers_last() -> None:
         (("5 frames", "30 frames"), "number of frames"),
         (("λ = 0", "λ = 0.5"), "λ"),
         (("20 fps", "×2"), None),
-        (("5", "6"), None),
-        ((), None),
     ],
 )
 def test_columns_are_values_of_one_quantity(columns: tuple[str, ...], label: str | None) -> None:

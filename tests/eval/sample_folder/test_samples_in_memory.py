@@ -72,9 +72,3 @@ def test_samples_have_takes_by_name_or_by_caption(
     assert column.generations == (
         tuple(compared[:n].count(take) for n, take in enumerate(compared)) if any(takes) else ()
     )
-
-
-def test_no_sample_of_a_column_is_no_column() -> None:
-    slow = folder(("slow.npy", "", ""))
-    assert takes_of_samples(slow, real()).of_column(slow.at(Fraction(60)), real().at(Fraction(60))) is None
-    assert not any(takes_of_samples(folder(("x", "", "")), real(("", "", ""))).takes)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from eval.sets import damage
-from eval.sets.damage import ALIGNED, FAMILIES, FEET, NOISES, NUM_LENDERS, games, with_bones_of
+from eval.sets.damage import ALIGNED, FAMILIES, NUM_LENDERS, games
 from eval.sets.motions import low_pass
 from eval.sets.sets import SampleSet, sample_set
-from motionkit.core.kinematics import forward_kinematics, quaternion_slerp
+from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.skeleton import SMPL22
 from tests.helpers.bones import bone_lengths
 
@@ -48,19 +48,6 @@ def test_slerp_keeps_bones_rigid_and_linear_interpolation_does_not() -> None:
     assert change[0] < 1e-3 < 1e-2 < change[1]
 
 
-def test_slerp_of_a_single_turning_bone_agrees_with_quaternions() -> None:
-    angle = np.array([0.0, 0.9])
-    quaternions = np.stack((np.cos(angle / 2), 0 * angle, 0 * angle, np.sin(angle / 2)), -1)
-    fraction = np.linspace(0, 1, 31)
-    turned = quaternion_slerp(quaternions[:1].repeat(31, 0), quaternions[1:].repeat(31, 0), fraction)
-    expected = np.stack((1 - 2 * turned[:, 3] ** 2, 2 * turned[:, 0] * turned[:, 3], 0 * fraction), -1)
-    positions = np.zeros((31, 22, 3))
-    positions[0, 1], positions[-1, 1] = expected[0], expected[-1]
-    # One kept pose a second, thirty frames a second: only the first and the last pose, whatever the phase.
-    result = damage.upsample_slerp(positions, 30.0, 1e-6, rng(3))
-    assert np.allclose(result[:, 1], expected, atol=1e-9)
-
-
 def test_sliding_and_jitter_are_as_strong_as_stated() -> None:
     drift = (damage.slide(TAKE, 60.0, 0.2, rng()) - TAKE)[-1]
     assert np.allclose(drift[..., 1], 0, atol=1e-6)
@@ -73,25 +60,6 @@ def test_low_pass_gain_on_sine_waves(frequency: float, gain: float) -> None:
     wave = np.sin(2 * np.pi * frequency * np.arange(600) / 100)[:, None, None] * np.ones((1, 2, 3))
     assert np.abs(low_pass(wave, 100.0, 5.0)[100:-100]).max() == pytest.approx(gain, abs=1e-3)
     assert np.allclose(low_pass(np.stack([wave, wave]), 100.0, 5.0)[1], low_pass(wave, 100.0, 5.0), atol=1e-12)
-
-
-@pytest.mark.parametrize("num_frames", [1, 2, 3, 40])
-def test_low_pass_leaves_uniform_motion_alone(num_frames: int) -> None:
-    start, velocity = rng().normal(size=(2, 4, 3))
-    uniform = start + velocity * np.arange(num_frames)[:, None, None] / 100
-    assert np.allclose(low_pass(uniform, 100.0, 7.0), uniform, atol=1e-9)
-
-
-def test_harmless_transforms_keep_distances_and_differences() -> None:
-    turned, moved = damage.turn(TAKE, 1.0), damage.translate(TAKE, np.array([1.0, 2.0]))
-    assert np.allclose(bone_lengths(turned, SMPL22), bone_lengths(TAKE, SMPL22), atol=1e-5)
-    assert np.allclose(turned[..., 1], TAKE[..., 1]) and np.allclose(damage.turn(turned, -1.0), TAKE, atol=1e-5)
-    assert np.allclose(np.diff(moved, axis=0), np.diff(TAKE, axis=0), atol=1e-5)
-    frames = np.arange(600)
-    for cycles_per_frame in (0.05, 0.3, 0.475):
-        wave = np.cos(2 * np.pi * cycles_per_frame * frames)[:, None, None] * np.ones((1, 2, 3))
-        expected = np.cos(2 * np.pi * cycles_per_frame * (frames + 0.5))
-        assert np.abs(damage.shift_between_frames(wave)[100:-100, 0, 0] - expected[100:-100]).max() < 0.01
 
 
 @pytest.fixture(scope="module")
@@ -118,34 +86,6 @@ def test_every_kind_of_damage_is_played_with_every_noise(real: SampleSet) -> Non
         assert added.std() == pytest.approx(0.0003, rel=0.05)
     slow = real.with_positions("slow", Fraction(20), list(real.sequences))
     assert [each.parent for each in games(slow)] == ["low-passed at 8 Hz", "low-passed at 10 Hz"]
-
-
-def test_noise_of_rotations_leaves_bones_as_long_as_they_are(real: SampleSet) -> None:
-    take = real.sequences[0].astype(float)
-    rigid = with_bones_of(take + 0.01 * rng().standard_normal(take.shape), take)
-    np.testing.assert_allclose(bone_lengths(rigid, SMPL22), bone_lengths(take, SMPL22), atol=1e-9)
-    assert np.abs(rigid - take).max() > 0.005
-
-
-def test_a_borrowed_fast_part_is_another_take_s(real: SampleSet) -> None:
-    low = next(each for each in games(real) if each.parent == "low-passed at 10 Hz")
-    for number, take in enumerate(low.cheats["low-passed at 10 Hz + fast part of another take"].sequences):
-        index = number // NUM_LENDERS
-        added, own = (each.astype(float) - low.honest.sequences[index] for each in (take, real.sequences[index]))
-        assert abs(np.corrcoef(added.ravel(), own.ravel())[0, 1]) < 0.2
-        assert added.std() == pytest.approx(own.std(), rel=0.3)
-
-
-def test_noise_comes_after_landings_and_with_vertical_acceleration(real: SampleSet) -> None:
-    """Feet fall at 0.6 m/s, land in frame 30 and stay; every joint falls freely in frames 60 to 70."""
-    take = np.zeros((120, 22, 3), dtype=np.float32)
-    take[:30, FEET, 1] = 0.01 * np.arange(30, 0, -1)[:, None]
-    take[60:, :, 1] = 1.0
-    take[60:71, :, 1] += -0.5 * 9.81 * (np.arange(11)[:, None] / 60) ** 2
-    landed = NOISES["noise after landings"](take, real, rng())
-    assert np.flatnonzero(landed[:50].any(axis=(1, 2))).tolist() == list(range(30, 37))
-    falling = NOISES["noise by vertical acceleration"](take[60:], real, rng())
-    assert falling[2:9].any(axis=(1, 2)).all() and not falling[20:].any()
 
 
 def test_the_nearest_training_motion_of_a_training_take_is_its_own(real: SampleSet) -> None:

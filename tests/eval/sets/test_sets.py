@@ -15,12 +15,11 @@ from eval.sets.motions import (
     each_upsampled,
     generate_fields,
     sample_fields,
-    upsample_as_vectors,
     upsampled,
     upsampled_positions,
     windows_of,
 )
-from eval.sets.sets import Ragged, SampleSet, middle, num_copies, sample_set, set_remarks, size_remarks
+from eval.sets.sets import Ragged, SampleSet, num_copies, sample_set, set_remarks, size_remarks
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.fields.motion_field import Poses
@@ -43,18 +42,6 @@ def real_motion(lengths: Sequence[int], rates: Sequence[int]) -> RealMotion:
         captions=tuple(f"caption {i}" for i in range(len(lengths))),
         actions=("",) * len(lengths),
     )
-
-
-def test_sequences_of_different_lengths_lie_in_one_array() -> None:
-    parts = [np.random.default_rng(n).normal(size=(n, 2, 3)).astype(np.float32) for n in (4, 1, 6)]
-    together = Ragged.of(parts)
-    assert (len(together), together.start_row.tolist(), together.num_frames.tolist()) == (3, [0, 4, 5], [4, 1, 6])
-    assert together[2].base is together.values
-    for found, part in zip(together, parts, strict=True):
-        np.testing.assert_array_equal(found, part)
-    np.testing.assert_array_equal(together.clips(np.array([1, 6]), 3), np.stack([parts[0][1:], parts[2][1:4]]))
-    frames = np.arange(7, dtype=np.float32)
-    assert [middle(frames, 3).tolist(), middle(frames[:2], 4).tolist()] == [[2, 3, 4], [0, 1]]
 
 
 def test_a_set_selects_sequences_with_what_is_known_of_them() -> None:
@@ -145,16 +132,6 @@ def test_upsampling_many_at_a_time_is_upsampling_each(fps_from: str, fps_to: str
     slow, fast = Fraction(fps_from), Fraction(fps_to)
     for found, sequence in zip(each_upsampled(sequences, slow, fast), sequences, strict=True):
         np.testing.assert_allclose(found, upsampled_positions(sequence, slow, fast), rtol=0, atol=1e-6)
-
-
-def test_unscaled_vectors_multiply_the_path() -> None:
-    low = walkers(20)
-    for before, after in zip(low.sequences, upsample_as_vectors(low, Fraction(60), "x").sequences, strict=True):
-        length, grown = (
-            np.linalg.norm(each[0, 0] - end) for each, end in ((before, before[-2, 0]), (after, after[-1, 0]))
-        )
-        assert grown == pytest.approx(3 * length, rel=0.05)
-        np.testing.assert_allclose(after[:, 15, 1], before[0, 15, 1], atol=1e-3)
 
 
 RNG = np.random.default_rng(0)

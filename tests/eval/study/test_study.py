@@ -118,10 +118,9 @@ def test_from_folders_to_a_table(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        *({part: None} for part in ("study", "systems", "trials")),
-        *({"systems": systems} for systems in ([], ["ours"], [["ours"], "theirs"])),
-        *({"trials": [trial]} for trial in (None, "a", {}, {**TRIAL, "question": "prettier"}, {**TRIAL, "fps": "0"})),
-        *({"trials": [{**TRIAL, "systems": pair}]} for pair in (["ours"], ["ours", "ours"], ["theirs", "others"])),
+        *({"systems": systems} for systems in (None, ["ours"], [["ours"], "theirs"])),
+        *({"trials": [trial]} for trial in (None, {}, {**TRIAL, "fps": "0"})),
+        *({"trials": [{**TRIAL, "systems": pair}]} for pair in (["ours"], ["theirs", "others"])),
     ],
     ids=repr,
 )

@@ -82,10 +82,3 @@ def test_a_file_that_cannot_be_trusted_is_made_anew(
     assert any("computed again" in str(each.message) for each in recwarn)
     assert np.array_equal(Embedder(evaluator, tmp_path).motions(motions()), expected)
     assert evaluator.asked == [3, 3]
-
-
-def test_an_evaluator_that_drops_rows_is_refused(tmp_path: Path) -> None:
-    evaluator = Counting()
-    with pytest.raises(ValueError, match="'counting' gave 2 rows for 3"):
-        Embedder(evaluator, tmp_path).kept({"x": 1}, 3, lambda: np.zeros((2, 3)))
-    assert not list(tmp_path.iterdir())

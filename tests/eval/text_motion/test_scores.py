@@ -21,7 +21,6 @@ from eval.text_motion.scores import (
     score_text_motion,
     share_of_same_texts,
 )
-from motionkit.core.errors import UsageError
 
 SEED, FEATURES = 11, 5
 
@@ -196,11 +195,6 @@ def test_pairs_that_do_not_fit_are_refused(draws: list[TextMotionPairs], protoco
         score_text_motion(make_pairs(64, 0), draws, find_text_motion_protocol(protocol), 0)
 
 
-def test_an_unknown_protocol_is_refused() -> None:
-    with pytest.raises(UsageError, match="native, nerm, t2m"):
-        find_text_motion_protocol("mmd")
-
-
 NUMBER = 128
 
 
@@ -281,9 +275,3 @@ def test_draws_are_averaged() -> None:
     values = [value(KIMODO, each, "recall_at_1_real_asked") for each in (near, far)]
     both = score_retrieval(REAL, [near, far], KIMODO, SENTENCES, 0)["recall_at_1_real_asked"]
     assert values[0] == 1.0 and values[1] < 0.1 and both.value == pytest.approx(np.mean(values))
-
-
-def test_too_few_pairs_for_a_pool_are_refused() -> None:
-    few = TextMotionPairs(TEXTS[:20], MOTIONS[:20])
-    with pytest.raises(ValueError, match="20 pairs do not fill a pool of 32"):
-        score_retrieval(few, [few], POOLS, SENTENCES[:20], 0)
