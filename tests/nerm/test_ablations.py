@@ -12,7 +12,7 @@ from motionkit.training.ablations import Variant
 from motionkit.training.config import apply_overrides, flatten, parse_override
 from motionkit.training.loop import step_generator
 from nerm.field_training import FieldTraining, remarks, training_windows
-from nerm.recipes import NERM, RECIPES, FieldConfig, NermConfig, nano
+from nerm.recipes import NERM, RECIPES, FieldConfig, NermConfig
 from tests.helpers.nerm_corpus import analytic_source
 
 CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))
@@ -74,12 +74,6 @@ def test_a_variant_differs_from_its_layout_in_what_it_says(variant: Variant, rec
     was, now = flatten(base), flatten(ours)
     changed = {key for key in now if now[key] != was[key]}
     assert changed <= {parse_override(setting)[0] for setting in variant.change}
-
-
-def test_the_rows_of_a_table_are_different_trainings() -> None:
-    for ablation in NERM.tables.values():
-        configs = {variant.configure(nano()) for variant in ablation.variants}
-        assert len(configs) == len(ablation.variants), ablation.table
 
 
 def test_frame_numbers_and_knots_exclude_each_other() -> None:

@@ -16,10 +16,9 @@ from motionkit.fields.motion_field import to_motion
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from motionkit.training.config import apply_overrides
-from motionkit.training.loop import step_generator
 from motionkit.training.run import RunFolder, StageContext, StageFolder
 from nerm.encoding import encode_windows
-from nerm.field import PoseTensors, TrainedField, load_field, save_field
+from nerm.field import TrainedField, load_field, save_field
 from nerm.field_training import RowAdam, kl_divergence, train_field
 from nerm.recipes import nano
 from tests.helpers.analytic import analytic_motion
@@ -78,22 +77,6 @@ def test_a_transformer_decoders_motion_is_a_function_of_time(monkeypatch: pytest
     np.testing.assert_allclose(motion.query(times).joint_positions, fast, atol=2e-5)
     alone = field.decode(field.posterior_mean[1:2], times[17:18], motion.fps)[0, 0]
     assert np.abs(alone - fast[17]).max() > 1e-3
-
-
-def test_training_without_distributions_leaves_variances_alone() -> None:
-    training = small_training(apply_overrides(SMALL, ["latents.variational=false"]))
-    before = training.posteriors()[1].clone()
-    figures = training.step(0, step_generator(3, "field", 0))
-    assert torch.equal(training.posteriors()[1], before)
-    assert torch.equal(figures["loss"], figures["reconstruction"])
-
-
-def test_a_field_with_knots_begins_as_the_ridge_fit() -> None:
-    training = small_training()
-    batch = PoseTensors.of(training.poses.evenly(np.arange(4), 50))
-    with torch.no_grad():
-        vectors = training.network(training.posteriors()[0], batch.coordinates, batch.fps)
-    assert float((vectors - training.scaling.apply(batch.vectors)).square().mean()) < 0.1
 
 
 @pytest.mark.parametrize("weight_decay", [0.0, 0.5])

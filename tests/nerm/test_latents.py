@@ -15,7 +15,7 @@ from motionkit.features.field import FIELD_VECTORS
 from motionkit.store.cache import PositionCache
 from motionkit.training.config import apply_overrides
 from motionkit.training.networks import VectorScaling, measure_scaling
-from nerm.field import LinearModel, PoseTensors, held, linear_model, ridge_knots
+from nerm.field import LinearModel, PoseTensors, linear_model, ridge_knots
 from nerm.latents import (
     Bank,
     Kernel,
@@ -28,12 +28,11 @@ from nerm.latents import (
     mix,
     placed,
     places_of,
-    relative_to,
     steps_of,
 )
 from nerm.network import FieldNetwork
 from nerm.recipes import FieldConfig, LatentScale
-from tests.helpers.nerm_corpus import analytic_positions, analytic_source, corpus_in_memory
+from tests.helpers.nerm_corpus import analytic_positions, corpus_in_memory
 from tests.nerm.small_fields import local_settings
 
 KERNELS: list[Kernel] = ["hann", "lanczos"]
@@ -64,12 +63,6 @@ BANKED = local_settings(
 )
 
 
-def _banks(config: FieldConfig = BANKED) -> LocalLatents:
-    banks = local_latents(config)
-    assert banks is not None
-    return banks
-
-
 def _scaling(poses: WindowPoses, config: FieldConfig) -> VectorScaling:
     grouped, weight, path = config.loss.scaling == "group", config.loss.root_weight, config.latents.has_path
     return measure_scaling(poses, grouped=grouped, root_weight=weight, centred_path=path)
@@ -91,27 +84,6 @@ def _circling(seconds: float = 4.0, fps: int = 60) -> PositionCache:
     body[..., 0] = cosine * x + sine * z + radius * (1 - np.cos(heading))[:, None]
     body[..., 2] = cosine * z - sine * x + radius * np.sin(heading)[:, None]
     return corpus_in_memory([body], [Fraction(fps)])
-
-
-def test_poses_relative_to_a_path_come_back() -> None:
-    generator = torch.Generator().manual_seed(4)
-    vectors, path = torch.randn(3, 5, 66, generator=generator), 3 * torch.randn(3, 5, 3, generator=generator)
-    torch.testing.assert_close(placed(relative_to(vectors, path), path), vectors, atol=1e-5, rtol=1e-5)
-
-
-def test_what_is_described_is_what_is_read() -> None:
-    banks = _banks()
-    numbers = banks.describe()
-    for index in (0, 17, 47, 141, 159):
-        latents = torch.zeros(1, banks.dimension)
-        latents[0, index] = 1.0
-        reading = banks.read(latents, banks.weights(numbers.centre[[index]]), torch.zeros(1, 1, dtype=torch.int64))
-        is_path = int(numbers.bank[index]) == 2
-        assert reading.path is not None
-        read = reading.path if is_path else reading.inputs[..., : banks.num_components]
-        expected = torch.zeros_like(read)
-        expected[0, 0, numbers.component[index]] = banks.path_units()[numbers.component[index]] if is_path else 1.0
-        torch.testing.assert_close(read, expected, atol=0.2, rtol=0)
 
 
 def _reconstructed(model: LinearModel, poses: WindowPoses, latents: torch.Tensor) -> torch.Tensor:
@@ -136,23 +108,6 @@ def test_the_linear_model_with_a_path_describes_somebody_who_walks_in_circles() 
     # Lengths of 66 numbers, in metres: 4 cm over 22 joints.
     assert with_path < 0.4
     assert with_path < 0.5 * without
-
-
-def test_what_a_short_window_does_not_reach_holds_its_last_pose() -> None:
-    source = analytic_source(seconds=2.0)
-    poses = _poses(source)
-    model = linear_model(poses, _scaling(poses, BANKED), BANKED)
-    assert model is not None
-    batch = PoseTensors.of(poses.evenly(np.arange(4), 60))
-    extended, counts = held(batch)
-    assert counts[:, :60].eq(1).all()
-    assert counts[:, 60:].sum(dim=1).tolist() == [64.0] * 4
-    torch.testing.assert_close(extended.vectors[:, -1], batch.vectors[:, -1])
-    for knots in model.banks.split(model.fit(batch)):
-        # The first three numbers: the analytic body has hardly any further components.
-        late = knots[:, -knots.shape[1] // 4 :, :3]
-        assert float((late - late[:, -1:]).abs().max()) < 0.2
-        assert float(late.abs().max()) > 0.4
 
 
 TINY = ("decoder.width=16", "decoder.num_layers=2", "encoder.kind=none")

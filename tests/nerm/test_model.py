@@ -93,7 +93,6 @@ def test_seeds_and_requests_decide(encoder):
         (SamplingOptions(sampler="euler"), "ddim, ddpm"),
         (SamplingOptions(steps=1001), "has 1 … 1000"),
         (SamplingOptions(guidance_scale=math.nan), "a finite number .*, not nan"),
-        (SamplingOptions(guidance_scale=-math.inf), "a finite number .*, not -inf"),
     ],
 )
 def test_sampling_that_there_is_not_is_explained(sampling, why):
@@ -101,24 +100,11 @@ def test_sampling_that_there_is_not_is_explained(sampling, why):
         known_model().generate([GenerationRequest(1.0)], seed=0, sampling=sampling)
 
 
-def test_guidance_that_runs_off_to_infinity_is_reported(encoder):
-    with pytest.raises(UsageError, match="a guidance scale of 1e\\+40 is too large"):
-        known_model(LetterEncoder.fingerprint).generate(
-            [GenerationRequest(1.0, text="a jump")], seed=0, sampling=SamplingOptions(guidance_scale=1e40)
-        )
-
-
 def test_durations_come_from_the_data_where_none_is_asked_for():
     model = known_model()
     fields = model.generate([GenerationRequest(None)] * 30 + [GenerationRequest(1.5)], seed=0)
     assert {field.end_seconds for field in fields[:-1]} == {2.0, 4.0}
     assert fields[-1].end_seconds == 1.5
-
-
-@pytest.mark.parametrize("seconds", [0.0, -1.0, 8.5, float("nan")])
-def test_impossible_durations_are_refused(seconds):
-    with pytest.raises(UsageError, match="up to 8 s"):
-        known_model().generate([GenerationRequest(seconds)], seed=0)
 
 
 def test_conditions_that_make_no_sense_are_refused(encoder):

@@ -1,8 +1,5 @@
 """NeRM's networks: coordinates, CCA, the decoder and the denoiser."""
 
-import subprocess
-import sys
-
 import pytest
 import torch
 
@@ -104,14 +101,6 @@ def test_through_a_context_a_transformers_pose_depends_on_nothing_else_either() 
     assert (decoded([0, 1, 2, 3, 4, 5, 6], 0)[:, 6] - together[:, 6]).abs().max() > 1e-3
 
 
-def test_the_codebook_is_frozen_and_travels_with_the_weights() -> None:
-    network = _network()
-    assert "attention.codebook" in network.state_dict()
-    assert "attention.codebook" not in dict(network.named_parameters())
-    with pytest.raises(ValueError, match="needs a trained codebook"):
-        FieldNetwork(TINY, 66)
-
-
 def test_the_decoder_is_the_paper_s() -> None:
     config = RECIPES["paper"]().field
     decoder, encoder = config.decoder, config.encoder
@@ -133,11 +122,6 @@ def test_a_local_latent_means_the_same_at_every_knot() -> None:
 
 
 LAYOUT = ConditionSizes(text_dimension=3, actions=("a", "b", "c"))
-SIZES = TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0)
-
-
-def action_conditions(actions: torch.Tensor) -> Conditions:
-    return Conditions.zero_masked(text=torch.zeros(len(actions), 3), action=actions, duration=torch.ones(len(actions)))
 
 
 def test_paper_sizes() -> None:
@@ -167,17 +151,6 @@ def test_every_input_reaches_every_number(num_tokens: int) -> None:
                 assert not gradient[1 - row].any()
 
 
-def test_skips_carry_the_first_half() -> None:
-    """With the second half's own input cut off, the output still sees the first half through the skips."""
-    torch.manual_seed(0)
-    denoiser = Denoiser(SIZES, torch.full((4,), ALWAYS), LAYOUT)
-    with torch.no_grad():
-        denoiser.skips[0].weight[:, :32] = 0.0
-    first = denoiser(torch.zeros(1, 4), torch.tensor([3]), action_conditions(torch.tensor([0])))
-    second = denoiser(torch.ones(1, 4), torch.tensor([3]), action_conditions(torch.tensor([0])))
-    assert not torch.allclose(first, second)
-
-
 def test_what_a_motion_does_not_depend_on_is_neither_read_nor_put_out() -> None:
     """A motion of 0.4 l_max reads 9 of 16 numbers: the other half may hold anything."""
     torch.manual_seed(0)
@@ -197,25 +170,9 @@ def test_what_a_motion_does_not_depend_on_is_neither_read_nor_put_out() -> None:
 
 
 def test_attention_in_bfloat16_is_that_in_float32() -> None:
-    generator = torch.Generator().manual_seed(0)
-    heads = torch.randn(3, 5, 2, 7, 16, generator=generator)
+    heads = torch.randn(3, 5, 2, 7, 16, generator=torch.Generator().manual_seed(0)).to(torch.bfloat16)
     seen = torch.arange(7)[None, None, None] < torch.tensor([7, 6, 4, 2, 1])[:, None, None, None]
-    rough = [each.to(torch.bfloat16).requires_grad_() for each in heads]
-    exact = [each.detach().float().requires_grad_() for each in rough]
     for mask in (None, seen):
-        found, expected = attention(*rough, mask), attention(*exact, mask)
+        found, expected = attention(*heads, mask), attention(*heads.float(), mask)
         assert found.dtype == torch.bfloat16
         torch.testing.assert_close(found.float(), expected, atol=0.02, rtol=0.02)
-        slopes = [
-            torch.autograd.grad(each.float().square().sum(), of) for each, of in ((found, rough), (expected, exact))
-        ]
-        for ours, theirs in zip(*slopes, strict=True):
-            torch.testing.assert_close(ours.float(), theirs, atol=0.06, rtol=0.06)
-
-
-def test_the_networks_are_imported_without_corpus_store_or_training() -> None:
-    code = (
-        "import sys, nerm.network; print(*(name for name in sys.modules if name.startswith(('motionkit.', 'nerm.'))))"
-    )
-    modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert not any(name.startswith(("motionkit.store", "motionkit.data", "motionkit.generate")) for name in modules)

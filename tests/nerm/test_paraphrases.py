@@ -82,13 +82,11 @@ def test_a_paraphrase_in_a_mirror_is_the_mirrored_captions(text, seed):
     ("text", "among"),
     [
         ("a person walks forward", {"someone is walking forward", "walking forward", "walk forward"}),
-        ("A man is jumping.", {"A man jumps.", "jumping.", "A man jumping."}),
         ("jump, balance", {"a person jumps, balances", "jumping, balancing"}),
         ("a person runs and carries a box", {"the subject is running and carrying a box"}),
         ("a person slowly walks back", {"a person walks back slowly", "walking back slowly"}),
         ("a person hops, then sits", {"a person hops and then sits", "hopping, and then sitting"}),
         ("someone walks while waving", {"while waving, someone walks"}),
-        ("dance - small jetes", {"dance: small jetes"}),
         (
             "a person performs raise up left hand in a active style",
             {
@@ -98,7 +96,6 @@ def test_a_paraphrase_in_a_mirror_is_the_mirrored_captions(text, seed):
             },
         ),
         ("a person performs walk turn right in a old style", {"a person walks and turns right in an old way"}),
-        ("a person who limps", {"someone who limps"}),
     ],
 )
 def test_known_wordings(text, among):
