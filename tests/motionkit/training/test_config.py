@@ -39,13 +39,10 @@ def test_overrides_reach_nested_settings_by_their_types() -> None:
     [
         ("field.step=1", r"no setting is called 'field.step', perhaps field.steps; there are: name, fast, field.steps"),
         ("field.steps=many", r"field.steps must be a whole number, not 'many'"),
-        ("field.rate=nan", r"field.rate must be a number, not 'nan'"),
         ("field.limit=inf", r"field.limit must be a number, not 'inf'"),
-        ("field.steps=1.5", r"field.steps must be a whole number"),
         ("field.activation=gelu", r"field.activation must be one of relu, silu"),
         ("fast=1", r"fast must be true or false"),
         ("fast", r"KEY=VALUE"),
-        ("field=3", r"no setting is called 'field'"),
     ],
 )
 def test_a_wrong_override_is_refused_with_what_there_is(override: str, message: str) -> None:

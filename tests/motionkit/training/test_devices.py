@@ -9,12 +9,9 @@ from hypothesis import strategies as st
 from motionkit.training import devices
 from motionkit.training.config import Precision
 from motionkit.training.devices import (
-    ALONE,
     DealtRows,
     Ranks,
     autocast,
-    joined_ranks,
-    present_ranks,
     with_precision_of,
 )
 
@@ -62,17 +59,3 @@ def test_rows_are_dealt_once_each_and_in_balance(size: int, weights: list[float]
         places = np.sort(place[each.rows.numpy()])
         assert len(places) == 0 or places[-1] - places[0] == len(places) - 1
         assert abs(weight[each.rows.numpy()].sum() - weight.sum() / size) <= weight.max() + 1e-9
-
-
-def test_one_rank_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("WORLD_SIZE", "1")
-    with joined_ranks() as ranks:
-        assert ranks is ALONE is present_ranks()
-        tensor = torch.arange(3.0)
-        ranks.add_up([tensor])
-        assert torch.equal(tensor, torch.arange(3.0))
-        assert ranks.all_rows(tensor, 3) is tensor
-        assert ranks.agree(True, False) == (True, False)
-        ranks.wait()
-    table = torch.randn(4, 2)
-    assert torch.equal(DealtRows(ALONE, np.ones(4), np.arange(4)).gather(table), table)

@@ -8,10 +8,8 @@ import torch
 
 from motionkit.training.config import Schedule
 from motionkit.training.loop import (
-    CheckpointError,
     Learner,
     load_tensors,
-    save_tensors,
     seeded_initialisation,
     train_loop,
 )
@@ -90,13 +88,6 @@ def test_a_loss_that_is_not_finite_stops_the_training(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="loss is not finite"):
         train_loop(Diverging(steps=5), folder, seed=0, checkpoint_seconds=0.0)
     assert load_tensors(folder.checkpoint_path)[1]["step"] == 2
-
-
-def test_a_checkpoint_of_another_stage_is_refused(tmp_path: Path) -> None:
-    folder = _folder(tmp_path / "stage")
-    save_tensors(folder.checkpoint_path, {}, {"step": 3, "stage": "other"})
-    with pytest.raises(CheckpointError, match="is of stage 'other'"):
-        train_loop(Regression(steps=5), folder, seed=0)
 
 
 def test_a_weight_average_of_constant_weights_is_those_weights() -> None:

@@ -6,7 +6,6 @@ import pytest
 
 from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.core.files import remove_entry
-from motionkit.training.devices import resolve_device
 from motionkit.training.run import RunError, RunFolder, Stage, StageContext, choose_stages, commit
 from tests.helpers.plugin_lists import install_only
 
@@ -110,12 +109,6 @@ def test_stages_are_chosen_by_name_or_all_of_the_model(monkeypatch: pytest.Monke
         choose_stages("c")
     with pytest.raises(UsageError, match="'a' has no recipe 'huge'"):
         stage("a").recipe("huge")
-
-
-def test_a_device_that_is_not_there_is_a_usage_error() -> None:
-    assert resolve_device("cpu").type == "cpu"
-    with pytest.raises(UsageError, match="--device abacus"):
-        resolve_device("abacus")
 
 
 def test_the_commit_is_that_of_this_code_and_of_no_checkout_around_it(tmp_path: Path) -> None:

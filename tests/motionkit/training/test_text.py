@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
 from motionkit.core.errors import UsageError
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
@@ -60,17 +60,12 @@ def test_texts_are_embedded_once(tmp_path):
     assert load_file(file)["embeddings"].shape == (3, 2)
 
 
-@pytest.mark.parametrize("damage", ["zeros", "cut", "other arrays"])
-def test_a_damaged_cache_is_computed_anew_and_that_is_said(damage, tmp_path, recwarn):
+@pytest.mark.parametrize("content", [bytes(20), save({"others": np.zeros(3)})], ids=["zeros", "other arrays"])
+def test_a_damaged_cache_is_computed_anew_and_that_is_said(content, tmp_path, recwarn):
     expected = embed_texts(CountingEncoder(), ["walk", "jump"], tmp_path)
     [file] = tmp_path.iterdir()
     whole = file.read_bytes()
-    if damage == "zeros":
-        file.write_bytes(b"\x00" * 20)
-    elif damage == "cut":
-        file.write_bytes(whole[:-3])
-    else:
-        save_file({"others": np.zeros(3)}, file)
+    file.write_bytes(content)
     encoder = CountingEncoder()
     np.testing.assert_array_equal(embed_texts(encoder, ["walk", "jump"], tmp_path), expected)
     assert encoder.asked == ["walk", "jump"]

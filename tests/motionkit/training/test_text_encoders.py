@@ -101,7 +101,6 @@ def no_network(monkeypatch):
 
 FAULTS = {
     "no weights but a pickle": (["model.safetensors"], "model.safetensors"),
-    "no config": (["config.json"], "config.json"),
     "no tokenizer": (["tokenizer.json", "vocab.json", "merges.txt"], "tokenizer"),
 }
 
@@ -120,8 +119,6 @@ def test_weights_that_are_damaged_or_would_be_random_are_refused(clip_folder, tm
     folder = tmp_path / "clip"
     shutil.copytree(clip_folder, folder)
     fingerprint = load_text_encoder(str(folder)).fingerprint
-    (folder / "README.md").write_text("a copy")
-    assert load_text_encoder(str(folder)).fingerprint == fingerprint
     weights = folder / "model.safetensors"
     tensors = load_file(weights)
     del tensors["text_projection.weight"]
@@ -129,16 +126,6 @@ def test_weights_that_are_damaged_or_would_be_random_are_refused(clip_folder, tm
     assert load_transformers(str(folder)).fingerprint != fingerprint
     with pytest.raises(MotionkitError, match=r"text_projection\.weight"):
         load_transformers(str(folder)).encode(["a person"])
-    weights.write_bytes(weights.read_bytes()[:200])
-    with pytest.raises(MotionkitError, match="cannot be loaded"):
-        load_transformers(str(folder)).encode([])
-
-
-@pytest.mark.parametrize("name", ["/absent", "./absent", "models/clip/vit", "nobody/no-such-encoder"])
-def test_what_is_no_folder_and_no_hub_name_is_explained(name, no_network, monkeypatch):
-    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
-    with pytest.raises(MotionkitError, match=name):
-        load_text_encoder(name)
 
 
 def test_without_the_extra(monkeypatch):
