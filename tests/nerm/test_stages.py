@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from eval.tables.nerm import table4
-from eval.tables.reconstruction import DISTANCE
+from eval.tables.nerm.table4 import DISTANCE
 from motionkit.training.run import RunError, RunFolder, StageContext
 from nerm.field import load_field
 from nerm.recipes import FIELD, LOCAL

@@ -12,7 +12,7 @@ from eval.clip_fid.score import CLIP_FID
 from eval.report.results import Block, Cell, Row, measure
 from eval.sets.motions import generate_fields
 from eval.sets.sets import RowId
-from eval.tables.reconstruction import HELD_OUT, TRAINING, mpjpe_cell, mre_cell, reconstructed_windows
+from eval.tables.nerm.table4 import HELD_OUT, TRAINING, mpjpe_cell, mre_cell, reconstructed_windows
 from eval.tables.systems import COLUMNS, Trained, Yardstick, label, reconstructor
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
 from motionkit.core.progress import tracked

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.tables.reconstruction import (
+from eval.tables.nerm.table4 import (
     COUNT,
     DISTANCE,
     GLOBAL,
