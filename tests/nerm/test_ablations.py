@@ -81,25 +81,13 @@ def test_frame_numbers_and_knots_exclude_each_other() -> None:
         _settings("nano", "field.encoder.coordinates=frames")
 
 
-class TestFixedFramerate:
-    """Table 1's "NeRM-fixed"."""
-
-    def test_every_pose_is_taken_at_that_framerate(self) -> None:
-        training = _training(_settings("nano", "field.clips.fixed_fps=20"))
-        for step in (0, 5, 11):
-            windows = torch.arange(len(training.poses.windows))
-            batch = training._draw(step, windows, windows, step_generator(3, "field", step))
-            ticks = (batch.coordinates + 1.0) * 2.0 * 20.0
-            torch.testing.assert_close(ticks, ticks.round(), atol=1e-9, rtol=0)
-            assert batch.fps.unique().tolist() == [20.0]
-
-    def test_slower_sequences_are_left_out_and_reported(self) -> None:
-        config = _settings("nano", "field.clips.fixed_fps=60")
-        source = analytic_source()
-        windows = training_windows(source, config)
-        assert sorted(windows.fps) == [60.0, 120.0, 120.0]
-        assert remarks(source, windows, config) == [
-            "1 of 4 sequences are slower than field.clips.fixed_fps and are left out"
-        ]
-        with pytest.raises(UsageError, match=r"no training sequence has 250 fps .* the fastest has 120"):
-            training_windows(source, _settings("nano", "field.clips.fixed_fps=250"))
+def test_sequences_slower_than_a_fixed_framerate_are_left_out_and_reported() -> None:
+    config = _settings("nano", "field.clips.fixed_fps=60")
+    source = analytic_source()
+    windows = training_windows(source, config)
+    assert sorted(windows.fps) == [60.0, 120.0, 120.0]
+    assert remarks(source, windows, config) == [
+        "1 of 4 sequences are slower than field.clips.fixed_fps and are left out"
+    ]
+    with pytest.raises(UsageError, match=r"no training sequence has 250 fps .* the fastest has 120"):
+        training_windows(source, _settings("nano", "field.clips.fixed_fps=250"))

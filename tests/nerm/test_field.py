@@ -42,12 +42,7 @@ def test_what_is_loaded_decodes_as_what_was_saved(small_field: TrainedField, tmp
         loaded.decode(loaded.posterior_mean, times, FPS[2]),
         small_field.decode(small_field.posterior_mean, times, FPS[2]),
     )
-    assert loaded.config == small_field.config
-    assert loaded.max_training_fps == 120
-    dimension = loaded.posterior_mean.shape[1]
-    assert dimension in (128, 152)
-    assert loaded.windows.duration_seconds.tolist() == [4.0] * 4
-    assert loaded.posterior_log_variance.shape == (4, dimension)
+    assert loaded.config == small_field.config and loaded.max_training_fps == 120
 
 
 def test_a_latent_is_a_motion_field(small_field: TrainedField) -> None:

@@ -1,6 +1,5 @@
 """How latents are laid out along time, read, fitted and standardised."""
 
-import math
 from dataclasses import replace
 from fractions import Fraction
 
@@ -143,22 +142,6 @@ def test_places_of_undoes_steps_of(seed: int) -> None:
     places = random_places(seed)
     torch.testing.assert_close(places_of(steps_of(places)), places, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(steps_of(places_of(places)), places, rtol=1e-9, atol=1e-9)
-
-
-@given(seed=st.integers(0, 1000), yaw=st.floats(-3, 3), x=st.floats(-9, 9))
-@settings(max_examples=20)
-def test_steps_do_not_depend_on_where_a_path_is_and_how_it_lies(seed: int, yaw: float, x: float) -> None:
-    places = random_places(seed)
-    cosine, sine = math.cos(yaw), math.sin(yaw)
-    moved = torch.stack(
-        (
-            cosine * places[..., 0] + sine * places[..., 1] + x,
-            cosine * places[..., 1] - sine * places[..., 0] - 2.0,
-            places[..., 2] + yaw,
-        ),
-        dim=-1,
-    )
-    torch.testing.assert_close(steps_of(moved)[:, 1:], steps_of(places)[:, 1:], rtol=1e-7, atol=1e-7)
 
 
 @pytest.mark.parametrize("banks", [BANKS, replace(BANKS, path=None), None], ids=["path", "no path", "no knots"])

@@ -33,7 +33,6 @@ VARIANTS = {
     "paper": (),
     "local": (LOCAL,),
     "no time encoding": ("encoder.kind=none",),
-    "no time encoding, local": ("encoder.kind=none", LOCAL),
     "raw time": ("encoder.kind=raw",),
     "raw time, local": ("encoder.kind=raw", LOCAL),
     "fourier": ("encoder.kind=fourier",),
