@@ -15,7 +15,7 @@ from eval.text_motion.embedder import TextMotionEvaluator
 from eval.text_motion.guo import KINDS, GuoError, GuoEvaluator, GuoFiles, load_guo, read_statistics, read_word_vectors
 from motionkit.core.motion import Caption
 from motionkit.core.skeleton import SMPL22
-from motionkit.core.skeletons.mapping import joint_map
+from motionkit.core.skeletons.mapping import joint_map, rest_positions
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.training.loop import CheckpointError
@@ -164,9 +164,7 @@ def test_mardm_s_evaluator_reads_67_numbers(tmp_path: Path) -> None:
 
 def walking(num_poses: int, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    rest = np.zeros((22, 3))
-    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
-        rest[joint] = rest[parent] + SMPL22.offsets[joint]
+    rest = rest_positions(SMPL22)
     time = np.arange(num_poses)[:, None, None] / 20
     swing = 0.1 * np.sin(2 * np.pi * rng.uniform(0.3, 2, (22, 3)) * time + rng.uniform(0, 6, (22, 3)))
     return (rest + swing + [0, 1, 0] + time * [0.5, 0, 1]).astype(np.float32)
