@@ -111,13 +111,14 @@ def evaluate(
 
         guo = GuoFiles(weights, glove, statistics)
     folder = runs or default_path("runs")
+    own = folder / run if not samples or (folder / run).is_dir() else None
     config = EvalConfig(
         store=store or default_path("store"),
         results=results or default_path("results"),
         split=split,
         where=where,
-        run=folder / run,
-        samples=named_samples(samples or [], folder / run),
+        run=own,
+        samples=named_samples(samples or [], own),
         sample_options=SampleOptions(framerates(samples_fps, "--samples-fps")[0] if samples_fps else None),
         encoders=tuple(_encoder(pair, folder) for pair in encoder or []),
         max_motions=motions,
@@ -136,6 +137,8 @@ def evaluate(
         config = replace(config, on_progress=show)
         if any(each.takes_samples for each in tables.values()):
             _print_left_out(config)
+        if own is None:
+            stderr.print(f"there is no run {str(folder / run)!r}: only --samples have rows")
         for number, each in tables.items():
             try:
                 built.append(_build(config, each, as_json))
@@ -232,10 +235,10 @@ def _build(config: "EvalConfig", table: "Table", as_json: bool) -> "Result":
         raise UsageError(f"{table.title!r} has no rows of samples: leave out --samples")
     result = table.build(config)
     run, loaders = config.run, table.shown().values()
-    lacking = [each.title for each in loaders if run is None or not each.complete_in(run)]
-    if lacking:
+    lacking = [] if run is None else [each.title for each in loaders if not each.complete_in(run)]
+    if run is not None and lacking:
         paper = "" if table.is_default else f" --paper {table.paper}"
-        named = "" if run is None or run.name == "nano" else f" --run {shlex.quote(run.name)}"
+        named = "" if run.name == "nano" else f" --run {shlex.quote(run.name)}"
         command = f"motionkit train --for {table.target}{paper}{named}"
         stderr.print(f"no rows of {', '.join(lacking)}: {command} trains the missing ones")
     path, text = write_result(result, config.results), to_markdown(result)
@@ -256,16 +259,17 @@ def _build(config: "EvalConfig", table: "Table", as_json: bool) -> "Result":
 
 
 def _require_rows(config: "EvalConfig", result: "Result") -> None:
-    """Raise if samples have no row of scores in the table, after printing what the table lacks."""
+    """Raise if samples have no row of scores in the table, with the reasons."""
     from eval.sample_folder import SampleFolderError
 
     # Blocks without a metric, such as that of copies, are no scores.
     shown = {row.name for block in result.blocks if block.metrics for row in block.rows if row.cells}
     rowless = [name for name in config.samples if name not in shown]
     if rowless:
-        for line in result.missing:
-            stderr.print(f"not in the table: {line}")
-        raise SampleFolderError(f"the table was written without rows for {', '.join(map(repr, rowless))}")
+        reasons = [line for line in result.missing if line.startswith(tuple(rowless))]
+        raise SampleFolderError(
+            "; ".join([f"the table was written without rows for {', '.join(map(repr, rowless))}", *reasons])
+        )
 
 
 def _print_left_out(config: "EvalConfig") -> None:

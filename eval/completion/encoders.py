@@ -97,8 +97,8 @@ def trained_completers(
 ) -> list[Completer]:
     """The installed encoders for a task that `run` holds, then requested (name, run) pairs, which must exist.
 
-    Encoders missing in `run` are reported with the runs that have them. Raises `UsageError` for an unknown name,
-    `DamagedFileError`, and what loading a requested encoder raises.
+    Encoders missing in `run` are reported with a run that has them; without a run, none is missing. Raises
+    `UsageError` for an unknown name, `DamagedFileError`, and what loading a requested encoder raises.
     """
     found: list[Completer] = []
     asked = {name for name, _ in more}
@@ -110,9 +110,9 @@ def trained_completers(
                 raise
             except MotionkitError as error:
                 missing.add(f"{loader.title}: {error}")
-        elif name not in asked:
+        elif run is not None and name not in asked:
             reason = f"not trained ({loader.train_command(run)})"
-            if run is not None and (others := runs_with(name, run.parent)):
+            if others := runs_with(name, run.parent):
                 reason = f"run {run.name!r} has none; --encoder {name}={others[-1].name} shows that of another"
             missing.add(f"{loader.title}: {reason}")
     for name, folder in more:

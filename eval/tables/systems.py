@@ -117,13 +117,17 @@ TrainedModel = Trained[GenerativeModel]
 
 
 def trained_models(run: Path | None, missing: Missing) -> dict[str, TrainedModel]:
-    """The installed models in a run by their row names; those that it lacks are missing, with what trains them."""
+    """The installed models in a run by their row names; those that it lacks are missing, with what trains them.
+
+    Without a run there are none, and none is missing.
+    """
     found: dict[str, TrainedModel] = {}
+    if run is None:
+        return found
     for loader in installed_models().values():
         try:
-            if run is None or not run.is_dir():
-                where = "no run was given" if run is None else f"there is no run {str(run)!r}"
-                raise RunError(f"{where} ({loader.train_command(run)})")
+            if not run.is_dir():
+                raise RunError(f"there is no run {str(run)!r} ({loader.train_command(run)})")
             if not loader.begun_in(run):
                 raise RunError(f"run {run.name!r} has none ({loader.train_command(run)})")
             model = Trained(loader, run)

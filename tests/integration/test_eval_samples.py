@@ -98,3 +98,6 @@ def test_broken_samples_are_left_out_and_cost_the_exit_code(motionkit, store, tm
     names = ("000009_pred.npy, frame 0: nan", "000010_pred.npy", "000011_pred.npy")
     assert all(name in line for name, line in zip(names, first, strict=True))
     assert "built without broken samples (3 of 'mine'); --allow-broken accepts that" in done.stderr
+    # Without a run, what trains models is none of the user's business.
+    assert done.stderr.count("there is no run 'runs/nano': only --samples have rows") == 1
+    assert "motionkit train" not in done.stdout + done.stderr
