@@ -17,9 +17,16 @@ from torch import Tensor
 
 from motionkit.core.shapes import Float, Float32, Float64, Int, Int64
 from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.reconstruction import ModelWindows
-from motionkit.data.windows import FrameValues, WindowPoses, Windows, chunks, cut_windows, open_frames
+from motionkit.data.windows import (
+    FrameValues,
+    WindowPoses,
+    Windows,
+    chunks,
+    cut_windows,
+    normalise_seconds,
+    open_frames,
+)
 from motionkit.features import field
 from motionkit.fields.assembly import AssembledField, Piece, assemble, even_starts
 from motionkit.fields.motion_field import MotionField, Observation

@@ -20,10 +20,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from motionkit.core.shapes import Float, Float32, Float64, Int64
+from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.timegrid import normalise_seconds
-from motionkit.data.windows import PoseBatch, WindowPoses, Windows, chunks
+from motionkit.data.windows import PoseBatch, WindowPoses, Windows, chunks, normalise_seconds
 from motionkit.features import field
 from motionkit.features.convention import PoseVectors
 from motionkit.features.field import FIELD_VECTORS
@@ -34,9 +33,8 @@ from motionkit.training.devices import resolve_device
 from motionkit.training.loop import load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from motionkit.training.networks import VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunFolder, StageFolder
-from nerm.latents import Bank, LocalLatents, local_latents, relative_to
-from nerm.network import EncodedCoordinates, FieldNetwork
-from nerm.recipes import FieldConfig
+from nerm.network import Bank, EncodedCoordinates, FieldNetwork, LocalLatents, local_latents, relative_to
+from nerm.recipes import FieldConfig, LatentScale
 
 ROOT_PATH = (0, 2)
 TIMES_PER_WINDOW = 128
@@ -189,6 +187,107 @@ def _without_path(
     weights = banks.path.interpolant(batch.coordinates.reshape(-1)).reshape(*batch.coordinates.shape, -1)
     path = (weights @ knots.double()) * units
     return [knots], relative_to(standardised, path.float())
+
+
+SMALLEST_DEVIATION = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class LatentSpace:
+    """The map between latents of the field and standardised numbers of the same size.
+
+    `banks` is the layout of z (None: global); `mean` and `deviation` are those of latents with their path as steps.
+    """
+
+    banks: LocalLatents | None
+    mean: Float32[Tensor, "latent"]
+    deviation: Float32[Tensor, "latent"]
+
+    def standardise(self, latents: Float32[Tensor, "batch latent"]) -> Float32[Tensor, "batch latent"]:
+        """Latents of the field → numbers of the diffusion."""
+        return (with_steps(latents, self.banks) - self.mean) / self.deviation
+
+    def restore(self, numbers: Float32[Tensor, "batch latent"]) -> Float32[Tensor, "batch latent"]:
+        """The inverse of `standardise`."""
+        latents = numbers * self.deviation + self.mean
+        if self.banks is None or self.banks.path is None:
+            return latents
+        *poses, steps = self.banks.split(latents)
+        return self.banks.join([*poses, places_of(steps)])
+
+
+def with_steps(latents: Float32[Tensor, "batch latent"], banks: LocalLatents | None) -> Float32[Tensor, "batch latent"]:
+    """Latents with their path, if any, as steps between knots.
+
+    As positions, a path spreads over metres while its steps are centimetres, so the denoiser's residual noise would be
+    metres per second of sliding. As steps in the body's frame, a path is as stationary as the poses.
+    """
+    if banks is None or banks.path is None:
+        return latents
+    *poses, places = banks.split(latents)
+    return banks.join([*poses, steps_of(places)])
+
+
+def steps_of(places: Float[Tensor, "batch knots 3"]) -> Float[Tensor, "batch knots 3"]:
+    """(x, z, heading) of each knot → (sideways, forward, turn) since the knot before; the first knot is unchanged.
+
+    A step is expressed in the heading half-way through it, so that an arc is a sequence of equal steps.
+    """
+    change = places[:, 1:] - places[:, :-1]
+    half_way = 0.5 * (places[:, 1:, 2] + places[:, :-1, 2])
+    x, z, turn = change.unbind(-1)
+    cosine, sine = torch.cos(half_way), torch.sin(half_way)
+    steps = torch.stack((cosine * x - sine * z, sine * x + cosine * z, turn), dim=-1)
+    return torch.cat((places[:, :1], steps), dim=1)
+
+
+def places_of(steps: Float[Tensor, "batch knots 3"]) -> Float[Tensor, "batch knots 3"]:
+    """The inverse of `steps_of`."""
+    heading = steps[..., 2].cumsum(dim=1)
+    half_way = heading[:, 1:] - 0.5 * steps[:, 1:, 2]
+    cosine, sine = torch.cos(half_way), torch.sin(half_way)
+    sideways, forward, _ = steps[:, 1:].unbind(-1)
+    change = torch.stack((cosine * sideways + sine * forward, cosine * forward - sine * sideways), dim=-1)
+    path = torch.cat((steps[:, :1, :2], change), dim=1).cumsum(dim=1)
+    return torch.cat((path, heading[..., None]), dim=-1)
+
+
+def kinds_of_numbers(dimension: int, banks: LocalLatents | None, scale: LatentScale) -> Int64[Tensor, "latent"]:
+    """Groups of numbers of z that share a mean and a deviation, as an index per number.
+
+    With `scale` "component" a group is one component of a bank at all its knots (except the first position of a path,
+    which is no step); otherwise, and without banks, each number is its own group.
+    """
+    if banks is None or scale == "number":
+        return torch.arange(dimension)
+    numbers = banks.describe()
+    is_start = (numbers.bank == len(banks.pose)) & (banks.path is not None) & (numbers.knot == 0)
+    names = torch.stack((numbers.bank, numbers.component, is_start.to(torch.int64)))
+    kinds: Tensor = torch.unique(names, dim=1, return_inverse=True)[1]
+    return kinds
+
+
+def measured_space(
+    latents: Float32[Tensor, "draws latent"],
+    used: Bool[Tensor, "draws latent"],
+    banks: LocalLatents | None,
+    scale: LatentScale,
+) -> LatentSpace:
+    """The space in which samples of latents have mean 0 and deviation 1, over the motions that use each number.
+
+    A number that no motion uses gets mean 0 and deviation 1.
+    """
+    numbers, share = with_steps(latents, banks).to(torch.float64), used.to(torch.float64)
+    kinds = kinds_of_numbers(latents.shape[1], banks, scale)
+
+    def over_kinds(sums: Float64[Tensor, "latent"]) -> Float64[Tensor, "latent"]:
+        return torch.zeros(int(kinds.max()) + 1, dtype=torch.float64).index_add(0, kinds, sums)[kinds]
+
+    counts = over_kinds(share.sum(dim=0))
+    mean = over_kinds((numbers * share).sum(dim=0)) / counts.clamp(min=1)
+    variance = over_kinds(((numbers - mean).square() * share).sum(dim=0)) / counts.clamp(min=1)
+    deviation = torch.where(counts > 0, variance.sqrt().clamp(min=SMALLEST_DEVIATION), torch.ones_like(variance))
+    return LatentSpace(banks, mean.to(torch.float32), deviation.to(torch.float32))
 
 
 NUM_LOGITS, CONTACT_WIDTH = 4, 128

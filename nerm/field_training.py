@@ -19,12 +19,12 @@ from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, task, warn
 from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.windows import (
     FrameValues,
     WindowPoses,
     Windows,
     cut_windows,
+    normalise_seconds,
     open_frames,
     rows_by_duration,
     shuffled_batches,
@@ -45,9 +45,17 @@ from motionkit.training.loop import (
 )
 from motionkit.training.networks import measure_scaling
 from motionkit.training.run import RunError, RunFolder, StageContext
-from nerm.field import NUM_LOGITS, ContactHead, PoseTensors, TrainedField, fit_windows, linear_model, save_field
-from nerm.latents import first_read, in_use, measured_space
-from nerm.network import FieldNetwork
+from nerm.field import (
+    NUM_LOGITS,
+    ContactHead,
+    PoseTensors,
+    TrainedField,
+    fit_windows,
+    linear_model,
+    measured_space,
+    save_field,
+)
+from nerm.network import FieldNetwork, first_read, in_use
 from nerm.recipes import FieldConfig, NermConfig
 
 LOG_VARIANCE_RANGE = (-12.0, 4.0)

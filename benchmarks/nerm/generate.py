@@ -24,11 +24,10 @@ from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
 from motionkit.data.windows import Windows
 from motionkit.generate.models import GenerationRequest
 from motionkit.training.networks import ConditionSizes, VectorScaling
-from nerm.denoiser import TrainedDenoiser
-from nerm.field import TrainedField
-from nerm.latents import LatentSpace, first_read, local_latents
+from nerm.denoiser import Denoiser, TrainedDenoiser
+from nerm.field import LatentSpace, TrainedField
 from nerm.model import NermModel, load
-from nerm.network import Denoiser, FieldNetwork
+from nerm.network import FieldNetwork, first_read, local_latents
 from nerm.recipes import RECIPES
 
 SECONDS = 9.8

@@ -14,22 +14,18 @@ from motionkit.features.field import FIELD_VECTORS
 from motionkit.store.cache import PositionCache
 from motionkit.training.config import apply_overrides
 from motionkit.training.networks import VectorScaling, measure_scaling
-from nerm.field import LinearModel, PoseTensors, linear_model, ridge_knots
-from nerm.latents import (
+from nerm.field import LinearModel, PoseTensors, linear_model, places_of, ridge_knots, steps_of
+from nerm.network import (
     Bank,
+    FieldNetwork,
     Kernel,
     LocalLatents,
     first_read,
     in_use,
-    kinds_of_numbers,
     local_latents,
-    measured_space,
     mix,
     placed,
-    places_of,
-    steps_of,
 )
-from nerm.network import FieldNetwork
 from nerm.recipes import FieldConfig, LatentScale
 from tests.helpers.nerm_corpus import analytic_positions, corpus_in_memory
 from tests.nerm.small_fields import local_settings

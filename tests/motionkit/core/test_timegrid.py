@@ -1,11 +1,10 @@
 from fractions import Fraction
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.core.timegrid import TimeGrid, normalise_seconds, num_frames_within, parse_fps
+from motionkit.core.timegrid import TimeGrid, num_frames_within, parse_fps
 
 
 @pytest.mark.parametrize(
@@ -37,9 +36,6 @@ def test_time_stamps_do_not_drift() -> None:
 
 
 @given(fps=st.sampled_from([20, 24, 30, 60, 120, 250]), num_frames=st.integers(1, 3000))
-def test_coordinates_round_trip(fps: int, num_frames: int) -> None:
+def test_frames_within_a_grid_are_its_own(fps: int, num_frames: int) -> None:
     grid = TimeGrid(Fraction(fps), num_frames)
-    coordinates = normalise_seconds(grid.seconds(), 10.0)
-    assert coordinates[0] == -1.0
-    assert np.allclose((coordinates + 1.0) * 5.0, grid.seconds(), atol=1e-9)
     assert num_frames_within(grid.span_seconds, grid.fps) == num_frames
