@@ -174,11 +174,6 @@ class CodebookNetwork(nn.Module):
         return vectors
 
 
-def joint_positions_block(num_joints: int) -> slice:
-    """The slice of joint positions in a vector (the RIC block)."""
-    return slice(4, 4 + 3 * (num_joints - 1))
-
-
 def codebook_vectors(
     joint_positions: Float[np.ndarray, "frames joints 3"], fps: Fraction
 ) -> Float32[np.ndarray, "rows numbers"]:
@@ -288,7 +283,7 @@ class CodebookTraining:
         self.learner = Learner(self.network, optimizer, ranks=ranks)
         self.state_tensors, self.load_state_tensors = self.learner.state_tensors, self.learner.load_state_tensors
         self.steps = config.schedule.num_steps(len(corpus.first_rows))
-        self.positions = joint_positions_block((len(corpus.mean) - 1) // 6)
+        self.positions = slice(4, 4 + (len(corpus.mean) - 7) // 2)  # the RIC block of 3·(J − 1) numbers
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
         """SmoothL1 + 0.5·SmoothL1 of joint positions + 0.02·commitment, then update the codes' moving averages."""

@@ -33,7 +33,6 @@ from motionkit.data.windows import (
 from motionkit.features.convention import PoseVectors
 from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
-from motionkit.training import networks
 from motionkit.training.devices import ALONE, DealtRows, Ranks, autocast, resolve_device, with_precision_of
 from motionkit.training.loop import (
     CheckpointError,
@@ -43,7 +42,7 @@ from motionkit.training.loop import (
     seeded_initialisation,
     step_generator,
 )
-from motionkit.training.networks import measure_scaling
+from motionkit.training.networks import kl_divergence, measure_scaling
 from motionkit.training.run import RunError, RunFolder, StageContext
 from nerm.field import (
     NUM_LOGITS,
@@ -97,27 +96,6 @@ class RowAdam:
     def tensors(self) -> dict[str, Tensor]:
         """Table and moments."""
         return {"table": self.table, "first": self.first, "second": self.second, "count": self.count}
-
-
-def sample_posterior(
-    mean: Float[Tensor, "batch latent"],
-    log_variance: Float[Tensor, "batch latent"],
-    noise: Float[Tensor, "batch latent"],
-) -> Float[Tensor, "batch latent"]:
-    """z = μ + σ·ε, the reparameterisation of N(μ, Σ) (Eq. 1)."""
-    return mean + torch.exp(0.5 * log_variance) * noise
-
-
-def kl_divergence(
-    mean: Float[Tensor, "batch latent"],
-    log_variance: Float[Tensor, "batch latent"],
-    num_windows: int | None = None,
-) -> Float[Tensor, ""]:
-    """KL(N(μ, Σ) ‖ N(0, I)) of Eq. 3 for diagonal Σ, averaged over latent numbers and windows, in nats.
-
-    With `num_windows` the mean is over that many windows, of which these are some.
-    """
-    return networks.kl_divergence(mean, log_variance).sum() / (mean.shape[1] * (num_windows or len(mean)))
 
 
 class FieldTraining:
@@ -192,13 +170,13 @@ class FieldTraining:
         latents = mean[which]
         if config.latents.variational:
             noise = torch.randn(len(windows), latents.shape[1], generator=generator)[mine].to(self.device)
-            latents = sample_posterior(latents, log_variance[which], noise)
+            latents = latents + torch.exp(0.5 * log_variance[which]) * noise  # Eq. 1
         with autocast(config.precision, self.device):
             predicted = self.network(latents, batch.coordinates, batch.fps)
         # This rank's share of means over the whole batch.
         squares = (predicted.float() - self.scaling.apply(batch.vectors)).square()
         reconstruction = squares.sum() / (len(windows) * squares.shape[1:].numel())
-        kl = kl_divergence(mean, log_variance, len(torch.unique(windows)))
+        kl = kl_divergence(mean, log_variance).sum() / (mean.shape[1] * len(torch.unique(windows)))  # Eq. 3
         loss = reconstruction + config.loss.kl_weight * kl if config.latents.variational else reconstruction
         factor = config.schedule.factor(step, self.steps)
         self.learner.descend(loss, step, config.schedule.learning_rate * factor)

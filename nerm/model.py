@@ -96,7 +96,11 @@ class NermModel:
             return []
         for request in requests:
             self.check(request, sampling)
-        durations = self._durations(requests, seed, first)
+        drawn = self.denoiser.draw_durations(len(requests), seed=seed, first=first) * self.max_duration_seconds
+        durations = [
+            float(own if request.duration_seconds is None else request.duration_seconds)
+            for request, own in zip(requests, drawn, strict=True)
+        ]
         texts = [request.text if self._uses_text(request) else "" for request in requests]
         actions = ["" if text else request.action for text, request in zip(texts, requests, strict=True)]
         conditions = Conditions.zero_masked(
@@ -106,7 +110,7 @@ class NermModel:
         )
         if not any(request.constraints for request in requests):
             latents = self.denoiser.sample(conditions, seed=seed, sampling=sampling, first=first)
-            return [self.field.as_motion_field(*drawn) for drawn in zip(latents, durations, strict=True)]
+            return [self.field.as_motion_field(*each) for each in zip(latents, durations, strict=True)]
         # One by one, so that a motion doesn't depend on the batch.
         motions: list[MotionField] = []
         for row, request in enumerate(requests):
@@ -151,14 +155,6 @@ class NermModel:
 
     def _uses_text(self, request: GenerationRequest) -> bool:
         return bool(request.text) and (bool(self.denoiser.text_fingerprint) or not request.action)
-
-    def _durations(self, requests: Sequence[GenerationRequest], seed: int, first: int) -> list[float]:
-        """Seconds of each request, drawn from the training windows' if the request has none."""
-        drawn = self.denoiser.draw_durations(len(requests), seed=seed, first=first) * self.max_duration_seconds
-        return [
-            float(own) if request.duration_seconds is None else float(request.duration_seconds)
-            for request, own in zip(requests, drawn, strict=True)
-        ]
 
     def _embed(self, texts: Sequence[str]) -> Float32[np.ndarray, "texts dimension"]:
         """Unit-length embeddings, zeros for empty texts; each distinct text is encoded once."""

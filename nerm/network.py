@@ -322,20 +322,6 @@ def in_use(first_read: Float32[Tensor, "latent"], duration: Float32[Tensor, "bat
 REFERENCE_FPS = 20.0
 
 
-def framerate_number(fps: Float64[Tensor, "*shape"], scale: float) -> Float32[Tensor, "*shape"]:
-    """The framerate s as the network reads it (§3.1, Eq. 2): scale · log₂(s / 20)."""
-    return (scale * torch.log2(fps / REFERENCE_FPS)).float()
-
-
-def frame_numbers(
-    coordinates: Float64[Tensor, "batch poses"],
-    fps: Float64[Tensor, "batch"],
-    max_duration_seconds: float,
-) -> Float64[Tensor, "batch poses"]:
-    """Normalised coordinates → frame numbers 1 … T at each clip's own framerate: Table 9's alternative."""
-    return (coordinates + 1.0) * (0.5 * max_duration_seconds) * fps[:, None] + 1.0
-
-
 def distinct(
     values: Float64[Tensor, "*shape"],
 ) -> tuple[Float64[Tensor, "distinct"], Int64[Tensor, "*shape"]]:
@@ -579,7 +565,8 @@ class FieldNetwork(nn.Module):
         """The whole coordinate branch, once per distinct coordinate."""
         read = coordinates
         if self.config.encoder.coordinates == "frames":
-            read = frame_numbers(coordinates, fps, self.config.windows.max_duration_seconds)
+            # 1 … T at each clip's own framerate (Table 9).
+            read = (coordinates + 1.0) * (0.5 * self.config.windows.max_duration_seconds) * fps[:, None] + 1.0
         values, which = distinct(read)
         values = rounded_up(values)
         weights = None if self.local is None else self.local.weights(values)
@@ -623,7 +610,8 @@ class FieldNetwork(nn.Module):
 
         In a transformer decoder all poses of a row attend to one another, or with `num_context` to the first ones.
         """
-        hidden = self.from_framerate(framerate_number(fps, self.config.encoder.framerate_scale)[:, None])[:, None]
+        framerate = (self.config.encoder.framerate_scale * torch.log2(fps / REFERENCE_FPS)).float()  # s of Eq. 2
+        hidden = self.from_framerate(framerate[:, None])[:, None]
         reading = None
         if self.local is not None and encoded.weights is not None:
             reading = self.local.read(latents, encoded.weights, encoded.which)

@@ -59,10 +59,6 @@ class Ranks:
         for tensor, total in zip(own, torch.split(message, [tensor.numel() for tensor in own]), strict=True):
             tensor.detach().copy_(total.view_as(tensor))
 
-    def add_up_gradients(self, parameters: Iterable[torch.nn.Parameter]) -> None:
-        """All-reduce gradients. Parameters without one have none on any rank, since all build the same graph."""
-        self.add_up(parameter.grad for parameter in parameters if parameter.grad is not None)
-
     def all_rows(self, own: Shaped[torch.Tensor, "own *rest"], count: int) -> Shaped[torch.Tensor, "count *rest"]:
         """Gather the rows of all ranks, of which each has its `rows_of(count)`."""
         if self.size == 1:

@@ -280,12 +280,6 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def set_rate(optimizer: torch.optim.Optimizer, rate: float) -> None:
-    """Set the learning rate of every parameter group, times its "relative_rate" if it has one."""
-    for group in optimizer.param_groups:
-        group["lr"] = rate * group.get("relative_rate", 1.0)
-
-
 class Learner:
     """A network with its optimiser and, with a decay above 0, the average of its weights: the state of a training.
 
@@ -305,11 +299,16 @@ class Learner:
         self.averages = {name: tensor.detach().clone() for name, tensor in weights.items()}
 
     def descend(self, loss: torch.Tensor, step: int, rate: float, clip_norm: float = 0.0) -> None:
-        """One optimiser step at a learning rate, on gradients of all ranks; a norm above 0 clips the gradient's."""
-        set_rate(self.optimizer, rate)
+        """One optimiser step on gradients of all ranks; `clip_norm` above 0 limits their norm.
+
+        A parameter group's learning rate is `rate`, times its "relative_rate" if it has one.
+        """
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate * group.get("relative_rate", 1.0)
         self.optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
-        self.ranks.add_up_gradients(self.network.parameters())
+        # A parameter without a gradient has none on any rank, since all build the same graph.
+        self.ranks.add_up(each.grad for each in self.network.parameters() if each.grad is not None)
         if clip_norm:
             torch.nn.utils.clip_grad_norm_(self.network.parameters(), clip_norm)
         self.optimizer.step()
@@ -330,17 +329,27 @@ class Learner:
         return self.averages or self.network.state_dict()
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
-        """Weights, the optimiser's moments, the average."""
+        """Weights, the optimiser's moments and step counts, the average."""
+        moments = {
+            f"{index}.{name}": torch.as_tensor(value)
+            for index, state in self.optimizer.state_dict()["state"].items()
+            for name, value in state.items()
+        }
         return (
             prefixed("network", self.network.state_dict())
-            | prefixed("optimizer", optimizer_tensors(self.optimizer))
+            | prefixed("optimizer", moments)
             | prefixed("average", self.averages)
         )
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Restore what `state_tensors` returned."""
         self.network.load_state_dict(unprefixed("network", tensors))
-        load_optimizer_tensors(self.optimizer, unprefixed("optimizer", tensors))
+        state: dict[int, dict[str, torch.Tensor]] = {}
+        for name, tensor in unprefixed("optimizer", tensors).items():
+            index, _, key = name.partition(".")
+            state.setdefault(int(index), {})[key] = tensor
+        groups = self.optimizer.state_dict()["param_groups"]
+        self.optimizer.load_state_dict({"state": state, "param_groups": groups})
         for name, average in self.averages.items():
             average.copy_(tensors[f"average.{name}"])
 
@@ -444,24 +453,6 @@ def unprefixed(prefix: str, tensors: Mapping[str, torch.Tensor]) -> dict[str, to
     return {
         name.removeprefix(f"{prefix}."): tensor for name, tensor in tensors.items() if name.startswith(f"{prefix}.")
     }
-
-
-def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, torch.Tensor]:
-    """The state of a torch optimiser (moments, step counts) as named tensors."""
-    return {
-        f"{index}.{name}": torch.as_tensor(value)
-        for index, state in optimizer.state_dict()["state"].items()
-        for name, value in state.items()
-    }
-
-
-def load_optimizer_tensors(optimizer: torch.optim.Optimizer, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Restore the state of `optimizer_tensors`; the optimiser's parameter groups are unchanged."""
-    state: dict[int, dict[str, torch.Tensor]] = {}
-    for name, tensor in tensors.items():
-        index, _, key = name.partition(".")
-        state.setdefault(int(index), {})[key] = tensor
-    optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
 def read_foreign(path: Path) -> dict[str, Any]:

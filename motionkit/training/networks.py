@@ -259,14 +259,6 @@ def add_noise(
     return (kept.sqrt() * latents + (1 - kept).sqrt() * noise).to(latents.dtype)
 
 
-def predicted_latents(
-    noisy: Float[Tensor, "batch latent"], noise: Float[Tensor, "batch latent"], alpha: float
-) -> Float[Tensor, "batch latent"]:
-    """The clean latent from a noise prediction: (z_k − √(1 − ᾱ_k) ε) / √ᾱ_k."""
-    clean: Tensor = (noisy - (1 - alpha) ** 0.5 * noise) / alpha**0.5
-    return clean
-
-
 def prediction_target(
     prediction: Prediction,
     latents: Float[Tensor, "batch latent"],
@@ -317,7 +309,7 @@ def sample(
     for index, (k, target) in enumerate(zip(steps, targets, strict=True)):
         alpha = float(alphas[k])
         noise = predict_noise(latents, torch.full((len(latents),), k, dtype=torch.int64))
-        clean = predicted_latents(latents, noise.to(torch.float64), alpha)
+        clean: Tensor = (latents - (1 - alpha) ** 0.5 * noise.to(torch.float64)) / alpha**0.5
         if adjust is not None:
             clean = adjust(clean, index, alpha)
             noise = predicted_noise("latent", clean, latents, alpha)

@@ -21,7 +21,7 @@ from motionkit.features.convention import PoseVectors
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
 from motionkit.training.config import DiffusionConfig, Prediction
-from motionkit.training.loop import dropout_from, set_rate, step_generator
+from motionkit.training.loop import dropout_from, step_generator
 from motionkit.training.networks import Conditions, ConditionSizes, VectorScaling
 from peers.actor import ACTOR, Actor, ActorNetworkConfig
 from peers.camdm import CAMDM, Camdm, CamdmNetworkConfig
@@ -423,7 +423,8 @@ def learnt(stage: PeerStage) -> tuple[PeerNetwork, Tensor]:
             loss = network.losses(batch)["loss"]
         optimizer.zero_grad()
         loss.backward()
-        set_rate(optimizer, 4e-3 * min(1.0, (step + 1) / 20) * 0.5 * (1 + cos(pi * step / count)))
+        for group in optimizer.param_groups:
+            group["lr"] = 4e-3 * min(1.0, (step + 1) / 20) * 0.5 * (1 + cos(pi * step / count))
         optimizer.step()
     # What CAMDM makes of nothing is what followed four frames.
     return network.eval().requires_grad_(False), rows[:, 4:] if stage is CAMDM else rows
