@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -14,7 +14,6 @@ from motionkit.cli.console import (
     of_default,
     print_json,
     progress,
-    stderr,
     stdout,
 )
 from motionkit.core.errors import UsageError
@@ -177,40 +176,25 @@ def merge(
     out: Annotated[Path, typer.Argument(help="Store to make or to add to.", show_default=False)],
     sources: Annotated[list[Path], typer.Argument(help="Stores to copy from.", show_default=False)],
     where: Where = None,
-    on_conflict: Annotated[
-        Literal["stop", "skip"], typer.Option(help="One id, two files: write nothing, or keep the first.")
-    ] = "stop",
     as_json: AsJson = False,
 ) -> None:
     """Copy stores into one, or a subset of a store into a new one, unchanged.
 
-    Sequences that the target has from equal files are kept.
+    Sequences that the target has from equal files are kept; nothing is written where one id stands for two files.
 
     Example: motionkit merge tests store --where "split = 'test'"
     """
     from motionkit.store.life import merge as merge_stores
 
     with progress() as show, task(show, "merge") as work:
-        report = merge_stores(
-            out,
-            sources,
-            where=where,
-            on_conflict=on_conflict,
-            on_start=work.set_total,
-            on_sequence=work.advance,
-        )
-    for sequence_id in report.conflicts:
-        stderr.print(f"left out: {sequence_id!r} is there from another file")
+        report = merge_stores(out, sources, where=where, on_start=work.set_total, on_sequence=work.advance)
     if as_json:
         counts = {"stored": report.num_stored, "already_stored": report.num_already_stored}
-        ids = {"conflicts": report.conflicts, "sequences_in_store": report.num_in_store}
-        print_json({"store": str(report.store), **counts, **ids})
+        print_json({"store": str(report.store), **counts, "sequences_in_store": report.num_in_store})
         return
     stdout.print(f"stored {report.num_stored:,} sequences in {report.store}, which holds {report.num_in_store:,}")
     if report.num_already_stored:
         stdout.print(f"already there: {report.num_already_stored:,}")
-    if report.conflicts:
-        stdout.print(f"left out: {len(report.conflicts):,} whose ids are there from other files")
 
 
 def compact(store: ChangedStore = None, as_json: AsJson = False) -> None:

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -105,12 +105,11 @@ def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: i
 
 @dataclass(frozen=True)
 class MergeReport:
-    """Result of a merge: sequences stored, those already there, and the ids of conflicts left out."""
+    """Result of a merge: sequences stored, and those already there."""
 
     store: Path
     num_stored: int
     num_already_stored: int
-    conflicts: tuple[str, ...]
     num_in_store: int
 
 
@@ -119,17 +118,15 @@ def merge(
     sources: Sequence[Path],
     *,
     where: str | None = None,
-    on_conflict: Literal["stop", "skip"] = "stop",
     on_start: Callable[[int], None] = lambda num_sequences: None,
     on_sequence: OnSequence = lambda: None,
 ) -> MergeReport:
     """Copy the sequences of stores, or those for which a SQL condition holds, into one, which is created or added to.
 
     Order is that of the sources and of their sequences; frames and figures are copied as they are. A sequence that
-    `out` or an earlier source holds from an equal file is left alone; the same id from another file is a conflict:
-    under `stop` nothing is written, under `skip` the first one stays. Raises `StoreError` for conflicts and for stores
-    that are missing or damaged; `BusyError` while another process writes to `out`; `UsageError` for bad SQL or where
-    nothing is chosen.
+    `out` or an earlier source holds from an equal file is left alone; the same id from another file is a conflict,
+    and nothing is written. Raises `StoreError` for conflicts and for stores that are missing or damaged; `BusyError`
+    while another process writes to `out`; `UsageError` for bad SQL or where nothing is chosen.
     """
     stores = [Store.open(path) for path in sources]
     chosen = [store.select(where) for store in stores]
@@ -152,19 +149,16 @@ def merge(
                 else:
                     conflicts.append(sequence_id)
             new.append(np.array(kept, np.int64))
-        if conflicts and on_conflict == "stop":
+        if conflicts:
             names = ", ".join(map(repr, conflicts[:SHOWN_CONFLICTS]))
             more = f" and {len(conflicts) - SHOWN_CONFLICTS} more" if len(conflicts) > SHOWN_CONFLICTS else ""
-            raise StoreError(
-                f"{len(conflicts)} ids stand for different files: {names}{more}: leave them out with --where, or keep "
-                "the first of each with --on-conflict skip"
-            )
+            raise StoreError(f"{len(conflicts)} ids stand for two files: {names}{more}: leave them out by --where")
         on_start(len(sha256_of))
         for store, indices in zip(stores, new, strict=True):
             for motion in store.read_encoded(indices):
                 writer.add_encoded(motion)
                 on_sequence()
-    return MergeReport(out, len(sha256_of), num_known, tuple(conflicts), committed(out).num_sequences)
+    return MergeReport(out, len(sha256_of), num_known, committed(out).num_sequences)
 
 
 @dataclass(frozen=True)
