@@ -21,7 +21,7 @@ from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotations import heading, to_window
 from motionkit.fields.motion_field import Observation, Poses
-from motionkit.io import lafan1
+from motionkit.io import bvh_data_sets
 from motionkit.store.reader import Store
 from motionkit.store.sql import conjunction
 
@@ -119,14 +119,16 @@ def lafan1_windows(store: Store) -> PoseWindows:
     whose bones all poses get, is that of the first name. Raises `NoTakesError` where either set is empty.
     """
     training = [
-        motion for motion in _lafan1_takes(store, lafan1.TRAIN_SUBJECTS) if motion.num_frames > TRAIN_WINDOW_FRAMES
+        motion
+        for motion in _lafan1_takes(store, bvh_data_sets.TRAIN_SUBJECTS)
+        if motion.num_frames > TRAIN_WINDOW_FRAMES
     ]
     if not training:
         raise NoTakesError(f"no training take is longer than {TRAIN_WINDOW_FRAMES} frames")
     windows = (benchmark_windows(motion, TRAIN_WINDOW_FRAMES, TRAIN_STEP_FRAMES) for motion in training)
     positions = (global_poses(*each, motion.skeleton)[0] for each, motion in zip(windows, training, strict=True))
     moments = stream(each.reshape(-1, 3 * each.shape[2]) for each in positions)
-    test = _lafan1_takes(store, lafan1.TEST_SUBJECTS)
+    test = _lafan1_takes(store, bvh_data_sets.TEST_SUBJECTS)
     found = [benchmark_windows(motion, TEST_WINDOW_FRAMES, TEST_STEP_FRAMES) for motion in test]
     roots = np.concatenate([root for root, _ in found])
     if not len(roots):

@@ -19,9 +19,8 @@ from motionkit.features.humanml3d import at_origin, facing_forward
 from motionkit.fields.motion_field import Observation, Poses
 from motionkit.io import joints_npy, pose_vectors
 from motionkit.io.bvh import BvhDocument, KnownFrames, rewrite_bvh
-from motionkit.io.files import existing_path, sequences_at
+from motionkit.io.files import existing_path, read_with_missing, sequences_at
 from motionkit.io.humanml3d import LAYOUTS
-from motionkit.io.missing_frames import read_with_missing
 from motionkit.io.registry import FileHead, ReadOptions, SourceItem, writer_of
 from motionkit.io.scan import derived_folder, read_document
 from motionkit.store import Store

@@ -194,6 +194,11 @@ def of_path(read: Callable[[Path, ReadOptions], Motion]) -> Reader:
     return lambda item, options: read(item.path, options)
 
 
+def of_document(read: Callable[..., Any]) -> Reader:
+    """A reader of sequence items from a format's `document`, which is strict here."""
+    return lambda item, options: read(item.path, options, strict=True).motion
+
+
 @dataclass(frozen=True)
 class _BuiltIn:
     """What is known of a format before its module is loaded.
@@ -218,12 +223,12 @@ class _BuiltIn:
 _POSE_FOLDERS = ("new_joints", "new_joint_vecs")
 # The first that accepts a file reads it.
 _BUILT_IN = (
-    _BuiltIn("lafan1", "lafan1", suffixes=(".bvh",), stem=r".*_subject\d+"),
-    _BuiltIn("100style", "style100", suffixes=(".bvh",), stem=r".*_([BFS][RW]|ID|TR[123])"),
+    _BuiltIn("lafan1", "bvh_data_sets", "LAFAN1_FORMAT", suffixes=(".bvh",), stem=r".*_subject\d+"),
+    _BuiltIn("100style", "bvh_data_sets", "STYLE100_FORMAT", suffixes=(".bvh",), stem=r".*_([BFS][RW]|ID|TR[123])"),
     _BuiltIn("bvh", "bvh", suffixes=(".bvh",), writes=True),
     _BuiltIn("asfamc", "asfamc", suffixes=(".amc",)),
-    _BuiltIn("c3d", "c3d", suffixes=(".c3d",)),
-    _BuiltIn("trc", "trc", suffixes=(".trc",)),
+    _BuiltIn("c3d", "markers", "C3D_FORMAT", suffixes=(".c3d",)),
+    _BuiltIn("trc", "markers", "TRC_FORMAT", suffixes=(".trc",)),
     _BuiltIn("deepmimic", "deepmimic", suffixes=(".txt", ".json")),
     _BuiltIn("uestc", "uestc", suffixes=(".npz",)),
     _BuiltIn("kimodo", "kimodo", suffixes=(".npz",)),

@@ -16,7 +16,7 @@ from motionkit.core import kinematics
 from motionkit.core.motion import Motion, Provenance
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io.lafan1 import read_lafan1
+from motionkit.io.bvh_data_sets import read_lafan1
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from tests.helpers.format_samples import lafan1_text
@@ -68,7 +68,7 @@ def take(name: str, num_frames: int, skeleton: Skeleton) -> Motion:
 def motions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Motion]:
     path = tmp_path_factory.mktemp("lafan1") / "walk1_subject5.bvh"
     path.write_text(lafan1_text(2))
-    skeleton = read_lafan1(path).skeleton
+    skeleton = read_lafan1(path).motion.skeleton
     return {name: take(name, frames, skeleton) for name, frames in TAKES.items()}
 
 

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.io.lafan1 import read_lafan1
+from motionkit.io.bvh_data_sets import read_100style, read_lafan1
 from motionkit.io.scan import read, scan
-from motionkit.io.style100 import read_100style
 from tests.helpers.bones import check_body
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text, lafan1_text
 from tests.helpers.refusal import refusal
@@ -32,14 +31,14 @@ def test_theme_subject_and_split_are_in_the_name(tmp_path: Path) -> None:
 def test_the_body_stands_in_metres_at_its_framerate(tmp_path: Path) -> None:
     path = tmp_path / "walk1_subject5.bvh"
     path.write_text(lafan1_text(130))
-    take = read_lafan1(path)
+    take = read_lafan1(path).motion
     assert take.fps == 30 and take.num_frames == 130
     assert not take.skeleton.offsets[0].any()
     check_body(take)
     assert take.joint_positions[0, 0, 1] == pytest.approx(0.91882)
     resolved = tmp_path / "walk1_subject2.bvh"
     resolved.write_text(lafan1_text(8, frame_time="0.016667"))
-    assert read_lafan1(resolved).fps == Fraction(60)
+    assert read_lafan1(resolved).motion.fps == Fraction(60)
 
 
 HEADER = "STYLE_NAME,BR_START,BR_STOP,FW_START,FW_STOP,TR2_START,TR2_STOP"

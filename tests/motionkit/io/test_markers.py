@@ -12,7 +12,7 @@ import pytest
 
 import motionkit as mk
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.io.c3d import numbers_of, parse_c3d, read_c3d
+from motionkit.io.markers import numbers_of, parse_c3d, read_c3d
 from motionkit.io.registry import ReadOptions
 from tests.helpers.every_format import TRC_JOINTS, c3d_bytes, trc_text
 from tests.helpers.refusal import refusal

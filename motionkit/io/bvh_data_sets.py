@@ -1,9 +1,13 @@
-"""100STYLE: BVH at 60 fps, `Style/Style_FW.bvh`, cut to the frames listed in `Frame_Cuts.csv`.
+"""Data sets of BVH files: LaFAN1 and 100STYLE.
 
-The table has a row for each style: `STYLE_NAME`, then for each kind of movement `BR_START`, `BR_STOP`, … (`N/A` if
-there is no such file); frames outside are calibration and approach. Source: I. Mason, S. Starke, T. Komura,
-"Real-Time Style Modelling of Human Locomotion via Feature-Wise Transformations and Local Motion Phases", 2022,
-https://www.ianxmason.com/100style/.
+LaFAN1 is in centimetres at 30 fps, `walk1_subject1.bvh`. Source:
+https://github.com/ubisoft/ubisoft-laforge-animation-dataset (README.md: names and themes; evaluate.py: the actors of
+both sets). The same names at 60 fps are https://github.com/orangeduck/lafan1-resolved, read the same way.
+
+100STYLE is at 60 fps, `Style/Style_FW.bvh`, cut to the frames listed in `Frame_Cuts.csv`. The table has a row for each
+style: `STYLE_NAME`, then for each kind of movement `BR_START`, `BR_STOP`, … (`N/A` if there is no such file); frames
+outside are calibration and approach. Source: I. Mason, S. Starke, T. Komura, "Real-Time Style Modelling of Human
+Locomotion via Feature-Wise Transformations and Local Motion Phases", 2022, https://www.ianxmason.com/100style/.
 """
 
 import csv
@@ -15,12 +19,20 @@ from pathlib import Path
 
 from motionkit.core.errors import FormatError, shown
 from motionkit.core.files import whole_number
-from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import source_file
 from motionkit.io.bvh import BvhDocument, read_document
-from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
+from motionkit.io.registry import Format, ReadOptions, of_document
 
+# LaFAN1
+THEMES = (
+    *("aiming", "dance", "fallAndGetUp", "fight", "fightAndSports", "ground", "jumps", "multipleActions", "obstacles"),
+    *("push", "pushAndFall", "pushAndStumble", "run", "sprint", "walk"),
+)
+LAFAN1_NAME = re.compile(rf"(?P<theme>{'|'.join(THEMES)})(?P<take>\d+)_(?P<subject>subject\d+)", re.IGNORECASE)
+TRAIN_SUBJECTS = ("subject1", "subject2", "subject3", "subject4")
+TEST_SUBJECTS = ("subject5",)
+# 100STYLE
 CUTS_FILE = "Frame_Cuts.csv"
 STYLE_COLUMN = "STYLE_NAME"
 ACTIONS = {
@@ -35,13 +47,30 @@ ACTIONS = {
     "TR2": "transition 2",
     "TR3": "transition 3",
 }
-NAME = re.compile(rf"(?P<style>[A-Za-z0-9]+)_(?P<kind>{'|'.join(ACTIONS)})", re.IGNORECASE)
+STYLE_AND_KIND = re.compile(rf"(?P<style>[A-Za-z0-9]+)_(?P<kind>{'|'.join(ACTIONS)})", re.IGNORECASE)
 ABSENT = ("", "n/a", "nan", "none")
 
 
-def accepts(head: FileHead) -> bool:
-    """Whether a BVH file is named after a style and a kind of movement, with Frame_Cuts.csv beside it or one above."""
-    return NAME.fullmatch(head.path.stem) is not None and find_cuts(head.path) is not None
+def read_lafan1(path: Path, options: ReadOptions | None = None, *, strict: bool = False) -> BvhDocument:
+    """Read one take with its theme as the action, its subject, and the benchmark's split: subject 5 is the test set.
+
+    The root's OFFSET, a take's starting position, is set to zero, so that takes of one subject share their skeleton;
+    position channels replace it anyway. Raises `FormatError` as `read_document` does.
+    """
+    document = read_document(path, options, strict=strict)
+    motion = document.motion
+    offsets = motion.skeleton.offsets.copy()
+    offsets[0] = 0.0
+    name = LAFAN1_NAME.fullmatch(path.stem)
+    subject = name["subject"].lower() if name else ""
+    motion = replace(
+        motion,
+        skeleton=replace(motion.skeleton, name="lafan1", offsets=offsets),
+        action=name["theme"] if name else "",
+        split="test" if subject in TEST_SUBJECTS else "train" if subject in TRAIN_SUBJECTS else "",
+        provenance=replace(motion.provenance, source_format="lafan1", subject=subject),
+    )
+    return replace(document, motion=motion)
 
 
 def find_cuts(path: Path) -> Path | None:
@@ -49,19 +78,14 @@ def find_cuts(path: Path) -> Path | None:
     return next((folder / CUTS_FILE for folder in path.parents[:2] if (folder / CUTS_FILE).is_file()), None)
 
 
-def read_100style(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_100style(path: Path, options: ReadOptions | None = None, *, strict: bool = False) -> BvhDocument:
     """Read frames [START, STOP) of one take, counted from 0, with its style and movement.
 
-    Times count from the first frame kept. Raises `FormatError` as `read_bvh` does, and with the reason `frame-cuts`
-    if the table has no cut for the take, or one outside it.
+    Times count from the first frame kept. Raises `FormatError` as `read_document` does, and with the reason
+    `frame-cuts` if the table has no cut for the take, or one outside it.
     """
-    return read_100style_document(path, options, strict=True).motion
-
-
-def read_100style_document(path: Path, options: ReadOptions | None = None, *, strict: bool = False) -> BvhDocument:
-    """The same with the file's text; raises `FormatError` as `read_document` does."""
     document = read_document(path, options, strict=strict)
-    name, table = NAME.fullmatch(path.stem), find_cuts(path)
+    name, table = STYLE_AND_KIND.fullmatch(path.stem), find_cuts(path)
     if name is None or table is None:
         message = f"expected a name such as Aeroplane_FW and {CUTS_FILE} beside it or one folder above"
         raise FormatError(message, path=path, reason="frame-cuts")
@@ -113,11 +137,19 @@ def _cuts(table: Path, modified: int) -> Mapping[tuple[str, str], tuple[int, int
     return cuts
 
 
-FORMAT = Format(
-    name="100style",
-    read=of_path(read_100style),
-    document=read_100style_document,
+LAFAN1_FORMAT = Format(
+    name="lafan1",
+    read=of_document(read_lafan1),
+    document=read_lafan1,
     suffixes=(".bvh",),
-    accepts=accepts,
+    accepts=lambda head: LAFAN1_NAME.fullmatch(head.path.stem) is not None,
+    turns_up=True,
+)
+STYLE100_FORMAT = Format(
+    name="100style",
+    read=of_document(read_100style),
+    document=read_100style,
+    suffixes=(".bvh",),
+    accepts=lambda head: STYLE_AND_KIND.fullmatch(head.path.stem) is not None and find_cuts(head.path) is not None,
     turns_up=True,
 )
