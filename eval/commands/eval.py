@@ -33,7 +33,7 @@ def _option(panel: str, help: str, *names: str, **more: Any) -> Any:
 def evaluate(
     table: Annotated[
         str | None, typer.Option(help="Number of the table in the paper; all: every one, figures too.")
-    ] = (None),
+    ] = None,
     figure: Annotated[str | None, typer.Option(help="Figure to build as a table, by its number: 5, 8.")] = None,
     calibrate: Annotated[
         bool, typer.Option("--calibrate", help="Check that clip-FID rises with damage, and only with damage.")
