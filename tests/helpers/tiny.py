@@ -7,6 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from benchmarks.trust import scenarios
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
@@ -25,6 +26,8 @@ from nerm.recipes import (
 )
 from tests.helpers.nerm_corpus import analytic_positions
 
+SETTINGS = tuple(word for each in scenarios.SETTINGS["codebook"].split() for word in ("--set", each))
+"""Options of `motionkit train` and `ablate` with which NeRM's stages take a second on the command line."""
 STEPS = 8
 NERM = NermConfig(
     codebook=apply_overrides(

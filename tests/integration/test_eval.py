@@ -92,25 +92,6 @@ def test_table_2(motionkit: Command, store: Path, tmp_path: Path) -> None:
     assert (tmp_path / "nerm-table2.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_samples_become_a_row_and_what_cannot_be_computed_is_named(
-    motionkit: Command, store: Path, tmp_path: Path
-) -> None:
-    folder = tmp_path / "mine"
-    folder.mkdir()
-    for index in range(3):
-        np.save(folder / f"{index}.npy", walk(index, 60, 3.0))
-    arguments = ("--fps", "60,120,250", "--samples", f"mine={folder}", "--results", tmp_path, "--json", *SMALL)
-    (folder / "motions.json").write_text('{"fps": 60}')
-    done = motionkit("eval", "--table", "2", "--store", store, *arguments)
-    assert done.code == 0, done.stderr
-    result = json.loads(done.stdout)
-    rows = {row["name"]: row for row in result["blocks"][0]["rows"]}
-    assert set(rows["mine"]["cells"]) == {"60 fps", "120 fps"}
-    assert "3 motions at 60 fps" in rows["mine"]["note"]
-    assert result["blocks"][0]["columns"] == ["60 fps", "120 fps"]
-    assert any("250 fps" in line and "0 of 6 sequences" in line for line in result["missing"])
-
-
 def test_calibration(motionkit: Command, store: Path, tmp_path: Path) -> None:
     arguments = ("--store", store, "--results", tmp_path, "--fps", "60", "--json", *SMALL)
     done = motionkit("eval", "--calibrate", *arguments)

@@ -12,9 +12,6 @@ import pytest
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.features import humanml3d
-from motionkit.features.humanml3d import process
-from motionkit.io.humanml3d import recover_positions
 from motionkit.store.writer import StoreWriter
 from tests.helpers.published_guo import GuoWidths, write_archive, write_glove
 
@@ -104,54 +101,3 @@ def test_table_1_by_the_published_evaluator(
     assert without.code == 2 and "--glove DIR" in without.stderr
     without = motionkit(*table, *files, "--store", captioned, "--split", "val")
     assert without.code == 1 and "caption 'take 34' has no word/POS tokens" in " ".join(without.stderr.split())
-
-
-def walking(index: int) -> np.ndarray:
-    """Pose vectors of a body that walks straight on; as many frames as the evaluator reads in whole tokens, and one.
-
-    Only limbs and head sway: HumanML3D's vectors of a turning trunk do not give back the joints they were made of.
-    """
-    joints = swaying(index, 46 + 4 * (index % 8), 20)
-    limbs = ("knee", "ankle", "foot", "elbow", "wrist", "head")
-    trunk = [joint for joint, name in enumerate(SMPL22.joint_names) if not name.endswith(limbs)]
-    rest = np.zeros((22, 3), dtype=np.float32)
-    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
-        rest[joint] = rest[parent] + SMPL22.offsets[joint]
-    joints[:, trunk] = rest[trunk] + np.float32([0, 0.95, 0])
-    joints[..., 2] += np.linspace(0, 0.02 * index, len(joints), dtype=np.float32)[:, None]
-    return humanml3d.vectors(process(joints, "smpl22"), "smpl22")
-
-
-def test_pose_vectors_reach_the_evaluator_as_they_are(
-    motionkit: Callable[..., Any], captioned: Path, weights: Path, tmp_path: Path
-) -> None:
-    made = {index: walking(index) for index in range(34)}
-    rows_of_all = np.concatenate(list(made.values()))
-    mean, std = rows_of_all.mean(axis=0), np.maximum(rows_of_all.std(axis=0), 0.05)
-    for name, stated in (
-        ("raw", 'statistics = "raw"'),
-        ("normalised", 'statistics = "normalised"\nmean = "mean.npy"\nstd = "std.npy"'),
-        ("joints", "fps = 20"),
-    ):
-        folder = tmp_path / name
-        folder.mkdir()
-        (folder / "samples.toml").write_text(f'files = ["c*.npy"]\n{stated}\n')
-        (folder / "texts.csv").write_text("file,caption\n" + "".join(f"c{i}.npy,take {i}\n" for i in made))
-        np.save(folder / "mean.npy", mean)
-        np.save(folder / "std.npy", std)
-        for index, vectors in made.items():
-            joints = recover_positions(vectors, 22)
-            shown = {"raw": vectors, "normalised": (vectors - mean) / std, "joints": joints}[name]
-            np.save(folder / f"c{index}.npy", shown)
-    files = ("--weights", weights, "--glove", write_glove(tmp_path / "glove"))
-    table = ("eval", "--table", 1, "--results", tmp_path, "--protocol", "t2m", "--evaluator", "guo", "--json")
-    named = [part for name in ("raw", "normalised", "joints") for part in ("--samples", f"{name}={tmp_path / name}")]
-    outcome = motionkit(*table, *files, "--store", captioned, *named)
-    assert outcome.code == 0, outcome.stderr
-    rows = {row["name"]: row for row in block(outcome, "Table 1")["rows"]}
-    as_they_are, by_joints = "as the pose vectors that they came as", "as pose vectors made of joint positions (not all"
-    assert as_they_are in rows["raw"]["note"] and as_they_are in rows["normalised"]["note"]
-    assert by_joints in rows["joints"]["note"]
-    for column, cell in rows["raw"]["cells"].items():
-        for other in ("normalised", "joints"):
-            assert rows[other]["cells"][column]["value"] == pytest.approx(cell["value"], rel=1e-3), (other, column)

@@ -1,7 +1,6 @@
 """`motionkit export`: what comes out of a store goes into another one."""
 
 import json
-import re
 import resource
 from dataclasses import replace
 from fractions import Fraction
@@ -16,24 +15,6 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.io.bvh import write_bvh
 from motionkit.io.smpl_body import mean_shape_skeleton
 from motionkit.store import Store, StoreWriter
-
-
-def test_bvh_and_back(motionkit, takes, tmp_path):
-    table = tmp_path / "notes.csv"
-    table.write_text('file,caption,split\nalpha.bvh,"a person slides, slowly",test\n')
-    store, again = tmp_path / "store", tmp_path / "again"
-    motionkit("ingest", takes, "--store", store, "--captions", table, "--fps", "48000/1001", "--workers", 1)
-    outcome = motionkit("export", tmp_path / "out", "--store", store)
-    assert (outcome.code, outcome.error_lines) == (0, [])
-    assert re.fullmatch(rf"wrote 3 sequences to {tmp_path}/out: 4 files, [0-9.]+ MB\n", outcome.stdout)
-    assert motionkit("ingest", tmp_path / "out", "--store", again, "--workers", 1).code == 0
-    motions = Store.open(store).read_many(range(3))
-    for before, after in zip(motions, Store.open(again).read_many(range(3)), strict=True):
-        assert after.fps == before.fps == Fraction(48000, 1001)
-        assert after.split == before.split
-        assert after.captions == before.captions
-        assert after.skeleton.joint_names == before.skeleton.joint_names
-        np.testing.assert_allclose(after.joint_positions, before.joint_positions, atol=2e-4)
 
 
 def test_what_files_cannot_hold_comes_back(motionkit, tmp_path):

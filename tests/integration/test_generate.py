@@ -13,7 +13,6 @@ from motionkit.cli.app import build_app
 from motionkit.core.motion import Caption
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.constraints import Constraint
-from motionkit.generate.long_motions import generate_joined
 from motionkit.generate.models import GenerationRequest, load_model
 from motionkit.generate.output import plant_generated
 from motionkit.store.writer import StoreWriter
@@ -106,22 +105,6 @@ def test_feet_stand_and_bones_keep_their_length(trained: Path) -> None:
     [written] = generate(trained, "animation", *call, "--format", "bvh")
     text = Path(str(written["file"])).read_text()
     assert (text.count("CHANNELS 6"), text.count("CHANNELS 3")) == (1, 21)  # places of the root alone
-
-
-def test_a_long_motion_of_several_texts_is_one_at_every_framerate(trained: Path) -> None:
-    call = ("a person walks", "a person jumps", "--seconds", "14", "--join", "--seed", "2", "--no-plant")
-    [slow] = generate(trained, "long-slow", *call, "--fps", "30")
-    [fast] = generate(trained, "long-fast", *call, "--fps", "60")
-    assert (slow["num_frames"], fast["num_frames"]) == (840, 1680)
-    apart = np.linalg.norm(positions(fast)[::2] - positions(slow), axis=-1)
-    model = load_model("nerm", trained / "runs" / "nano")
-    field = generate_joined(model, tuple(GenerationRequest(14.0, text=text) for text in call[:2]), seed=2)
-    assert len(field.pieces) == 4
-    instants = np.arange(840) / 30
-    told = [field.at_fps(Fraction(fps)).query(instants).joint_positions for fps in (30, 60)]
-    # What the field itself answers differently, and nothing else.
-    assert apart.max() <= np.linalg.norm(told[1] - told[0], axis=-1).max() + 1e-4
-    assert 0 < apart.mean() < 0.05
 
 
 def test_a_path_and_a_pose_are_kept_to(trained: Path, tmp_path: Path) -> None:

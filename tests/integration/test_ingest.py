@@ -6,9 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from motionkit.store import Store
+from tests.helpers.every_format import SOURCES
 from tests.helpers.small_bvh import bvh_text
 
 
@@ -41,32 +43,6 @@ def test_an_ingest_of_one_worker_loads_little(takes, tmp_path):
     )
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert (result.stderr, result.stdout) == ("", "\n")
-
-
-def test_an_overwrite(motionkit, takes, tmp_path):
-    store = tmp_path / "store"
-    motionkit("ingest", takes, "--store", store, "--workers", 1)
-    motionkit("ingest", takes / "beta.bvh", "--store", store, "--overwrite", "--fps", "24000/1001", "--workers", 1)
-    assert ids(store) == ["takes/beta"]
-    row = Store.open(store).sequences.iloc[0]
-    assert (row["fps_numerator"], row["fps_denominator"], row["stated_fps"]) == (
-        24000,
-        1001,
-        "Frame Time: 0.0333333",
-    )
-
-
-def test_units_and_captions(motionkit, takes, tmp_path):
-    table = takes / "notes.csv"
-    table.write_text("file,caption,split,action\nalpha.bvh,a person slides,test,slide\n")
-    outcome = motionkit(
-        "ingest", takes / "alpha.bvh", "--store", tmp_path / "store", "--captions", table, "--unit-metres", 0.02
-    )
-    assert outcome.code == 0
-    motion = Store.open(tmp_path / "store").read(0)
-    assert [caption.text for caption in motion.captions] == ["a person slides"]
-    assert (motion.split, motion.action) == ("test", "slide")
-    assert motion.joint_positions[0, 0, 1] == pytest.approx(1.8)
 
 
 BAD_FILES = {
@@ -121,6 +97,46 @@ def test_duplicate_ids(motionkit, takes, tmp_path):
     assert second.code == 1
     assert "already holds a sequence with the id 'takes/beta'" in second.error_lines[0]
     assert Store.open(store).read("takes/beta").num_frames == 5
+
+
+@pytest.fixture
+def arrays(tmp_path: Path) -> Path:
+    """Ten arrays of which one is a motion."""
+    folder = tmp_path / "arrays"
+    folder.mkdir()
+    np.savez(folder / "motion.npz", joint_positions=np.random.default_rng(0).random((5, 22, 3)), fps=30)
+    for number in range(6):
+        np.savez(folder / f"unknown-{number}.npz", xyz=np.zeros((5, 22, 3)))
+    for number in range(3):
+        np.save(folder / f"unknown-{number}.npy", np.zeros((5, 66)))
+    return folder
+
+
+def test_the_last_line_counts_what_was_ignored(motionkit, arrays, tmp_path):
+    outcome = motionkit("ingest", arrays, "--store", tmp_path / "store")
+    assert outcome.code == 0 and outcome.stdout.startswith("stored 1 sequence")
+    (line,) = [line for line in outcome.stdout.splitlines() if line.startswith("ignored")]
+    assert line == f"ignored: 9 (6 .npz, 3 .npy; the first: {arrays}/unknown-0.npy)"
+    summary = json.loads(motionkit("ingest", arrays, "--store", tmp_path / "store", "--json").stdout)
+    assert summary["ignored"] == {".npz": 6, ".npy": 3}
+    assert sorted(summary["ignored_paths"]) == sorted(map(str, arrays.glob("unknown*")))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_of_files_of_one_name_the_first_is_read(motionkit, tmp_path, workers):
+    folder = tmp_path / "takes"
+    folder.mkdir()
+    SOURCES["c3d"](folder)
+    SOURCES["npz"](folder)
+    (folder / "take.bvh").write_text(bvh_text())
+    for code, counted in ((0, "stored 1 sequence"), (1, "already there: 1")):
+        outcome = motionkit("ingest", folder, "--store", tmp_path / "store", "--workers", workers)
+        assert outcome.code == code
+        assert counted in outcome.stdout and "failed: 2 (2 duplicate-id)" in outcome.stdout
+        assert list(Store.open(tmp_path / "store").sequences["source_path"]) == ["take.bvh"]
+    (folder / "take.bvh").write_text(bvh_text()[:-30])
+    outcome = motionkit("ingest", folder, "--store", tmp_path / "other", "--workers", workers)
+    assert outcome.code == 1 and "failed: 3 (2 duplicate-id, 1 truncated)" in outcome.stdout
 
 
 def test_the_real_captures(motionkit, captures, tmp_path):

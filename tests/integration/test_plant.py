@@ -82,14 +82,6 @@ def test_frames_that_nothing_moves_stay_to_the_last_digit(motionkit: Run, standi
     assert 0.3 < np.mean(same) < 1.0
 
 
-def test_feet_that_stand_are_left_alone(motionkit: Run, standing: Motion, tmp_path: Path) -> None:
-    write_bvh(standing, tmp_path / "walk.bvh")
-    outcome = motionkit("plant", tmp_path / "walk.bvh", "--json")
-    (planted,) = json.loads(outcome.stdout)["clips"]
-    assert planted["largest_change"] < 0.005 and planted["largest_level_shift"] == 0
-    assert "left alone" in motionkit("plant", tmp_path / "walk.bvh", "--overwrite").stderr
-
-
 def test_a_folder_a_store_and_arrays(motionkit: Run, sliding: Motion, tmp_path: Path) -> None:
     folder = tmp_path / "clips"
     folder.mkdir()

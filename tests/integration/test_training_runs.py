@@ -12,10 +12,8 @@ import pytest
 import torch
 
 from motionkit.training import devices, loop
-from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
-from motionkit.training.run import RunError, RunFolder, StageContext, StageFolder
-from nerm.recipes import CODEBOOK, DENOISER, FIELD
+from motionkit.training.run import RunError, RunFolder, StageFolder
 from tests.helpers.tiny import NERM, STAGES, train_stage, write_store
 
 
@@ -105,24 +103,3 @@ def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(
     monkeypatch.setattr(devices, "has_bfloat16", lambda device: False)
     with pytest.raises(RunError, match=r"field.precision 'bfloat16' → 'float32'"):
         train_stage("field", store, folder.path.parent, resume=True)
-
-
-def test_the_recipe_base_trains_with_narrow_networks_and_one_step(store: Path, tmp_path: Path) -> None:
-    settings = [
-        "codebook.network.width=32",
-        "codebook.network.num_codes=32",
-        "field.encoder.num_queries=16",
-        "field.decoder.width=32",
-        "field.windows.stride_seconds=4",
-        "field.contact_steps=1",
-        "denoiser.network.width=64",
-        "denoiser.network.ffn_width=32",
-        "denoiser.conditions.text_encoder=none",
-    ]
-    for stage in (CODEBOOK, FIELD, DENOISER):
-        settings += [f"{stage.name}.schedule.steps=1", f"{stage.name}.schedule.batch_size=2"]
-    config = apply_overrides(CODEBOOK.recipe("base"), settings)
-    for stage in (CODEBOOK, FIELD, DENOISER):
-        stage.train(StageContext(store, RunFolder(tmp_path), "base", device="cpu"), config)
-    losses = [RunFolder(tmp_path).stage(name).read_summary()["loss"] for name in ("codebook", "field", "denoiser")]
-    assert all(0 < loss < 100 for loss in losses)

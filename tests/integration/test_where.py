@@ -13,17 +13,9 @@ from motionkit.features.quality import measure
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.writer import StoreWriter
 from tests.helpers.analytic import analytic_motion
+from tests.helpers.tiny import SETTINGS
 
 CLEAN = "NOT list_contains(quality_flags, 'teleport')"
-TINY = (
-    "field.schedule.steps=3",
-    "field.contact_steps=10",
-    "field.schedule.batch_size=4",
-    "field.decoder.width=32",
-    "field.decoder.num_layers=2",
-    "field.encoder.kind=fourier",
-    "field.windows.max_duration_seconds=3",
-)
 
 
 def take(index: int, split: str, glitch: bool) -> Motion:
@@ -49,8 +41,8 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_training_leaves_out_what_the_condition_does(motionkit, store, tmp_path):
-    settings = [argument for setting in TINY for argument in ("--set", setting)]
     places = ("--store", store, "--runs", tmp_path, "--device", "cpu")
+    settings = (*SETTINGS, "--set", "field.encoder.kind=fourier")
     for name, extra, windows in (("all", (), 8), ("clean", ("--where", CLEAN), 6)):
         done = motionkit("train", "--stage", "field", "--run", name, "--json", *places, *settings, *extra)
         assert done.code == 0, done.stderr
