@@ -14,7 +14,16 @@ from motionkit.features.field import FIELD_VECTORS
 from motionkit.store.cache import PositionCache
 from motionkit.training.config import apply_overrides
 from motionkit.training.networks import VectorScaling, measure_scaling
-from nerm.field import LinearModel, PoseTensors, linear_model, places_of, ridge_knots, steps_of
+from nerm.field import (
+    LinearModel,
+    PoseTensors,
+    kinds_of_numbers,
+    linear_model,
+    measured_space,
+    places_of,
+    ridge_knots,
+    steps_of,
+)
 from nerm.network import (
     Bank,
     FieldNetwork,
