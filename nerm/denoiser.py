@@ -1,7 +1,6 @@
 """Latent diffusion (paper §3.2, Eq. 5 and 6): the network ε_φ, its training on the field's posteriors, sampling."""
 
 import dataclasses
-import math
 import time
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
@@ -10,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import sha256_of
-from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64, Shaped
+from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.data.captions import actions_of_windows, captions_of_windows
 from motionkit.generate.models import SamplingOptions
 from motionkit.store.cache import cache_root
@@ -45,162 +44,19 @@ from motionkit.training.networks import (
     reparameterized,
     sample,
     sampling_steps,
-    through_long_skips,
     window_conditions,
 )
 from motionkit.training.run import RunError, RunFolder, StageContext
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
 from nerm.field import LatentSpace, TrainedField, load_field, measured_space
-from nerm.network import LocalLatents, first_read, in_use
+from nerm.latents import LocalLatents, first_read, in_use
+from nerm.network import Denoiser
 from nerm.paraphrases import with_paraphrases
-from nerm.recipes import DenoiserConfig, NermConfig, TransformerConfig
+from nerm.recipes import DenoiserConfig, NermConfig
 
 SAMPLES_PER_BATCH = 256
 WEIGHT_DECAY = 0.01
 DROP, ACTION_SHARE = 0.1, 0.25
-
-
-def attention(
-    queries: Float[Tensor, "batch heads queries size"],
-    keys: Float[Tensor, "batch heads keys size"],
-    values: Float[Tensor, "batch heads keys size"],
-    used: Bool[Tensor, "batch 1 1 keys"] | None,
-) -> Float[Tensor, "batch heads queries size"]:
-    """softmax(QKᵀ/√size) V over the tokens of the mask `used`."""
-    if queries.device.type == "cpu" and queries.dtype == torch.bfloat16:
-        # torch's own kernel is as slow as all matrix products of a step together.
-        scores = queries @ keys.transpose(-1, -2) * queries.shape[-1] ** -0.5
-        if used is not None:
-            scores = scores.masked_fill(~used, -torch.inf)
-        mixed: Tensor = torch.softmax(scores, dim=-1) @ values
-        return mixed
-    return nn.functional.scaled_dot_product_attention(queries, keys, values, attn_mask=used)
-
-
-class SkipLayer(nn.Module):
-    """One layer of the denoiser: pre-norm self-attention and feed-forward network (GELU; appendix D)."""
-
-    def __init__(self, config: TransformerConfig) -> None:
-        super().__init__()
-        self.num_heads = config.num_heads
-        self.attention_norm = nn.LayerNorm(config.width)
-        self.queries_keys_values = nn.Linear(config.width, 3 * config.width)
-        self.attention_out = nn.Linear(config.width, config.width)
-        self.ffn_norm = nn.LayerNorm(config.width)
-        self.ffn_in = nn.Linear(config.width, config.ffn_width)
-        self.ffn_out = nn.Linear(config.ffn_width, config.width)
-        self.dropout = nn.Dropout(config.dropout)
-
-    def forward(
-        self, tokens: Float[Tensor, "batch tokens width"], used: Bool[Tensor, "batch 1 1 tokens"] | None
-    ) -> Float[Tensor, "batch tokens width"]:
-        """One layer over all tokens; those not `used` are masked out of the attention."""
-        batch, count, width = tokens.shape
-        projected = self.queries_keys_values(self.attention_norm(tokens))
-        heads = projected.view(batch, count, 3, self.num_heads, width // self.num_heads).permute(2, 0, 3, 1, 4)
-        mixed = attention(heads[0], heads[1], heads[2], used)
-        tokens = tokens + self.dropout(self.attention_out(mixed.transpose(1, 2).reshape(batch, count, width)))
-        hidden = self.dropout(nn.functional.gelu(self.ffn_in(self.ffn_norm(tokens))))
-        out: Tensor = tokens + self.dropout(self.ffn_out(hidden))
-        return out
-
-
-def step_features(steps: Int64[Tensor, "batch"], width: int) -> Float[Tensor, "batch width"]:
-    """Sinusoidal features of the diffusion step k, wavelengths from 2π to 20,000π (Vaswani et al. 2017)."""
-    frequencies = torch.exp(-math.log(10_000.0) * torch.arange(width // 2, device=steps.device) / (width // 2))
-    angles = steps[:, None].to(torch.float32) * frequencies
-    return torch.cat((angles.cos(), angles.sin()), dim=1)
-
-
-DURATION_FREQUENCIES = 8
-
-
-class ConditionEmbedding(nn.Module):
-    """Conditions → three tokens: text, action, duration (§3.2).
-
-    The null condition is a zero mask: the embedding of the text or action is zeros, so that its token is the
-    projection's bias. Guidance never drops the duration: the field needs it, so both passes of Eq. 6 see it.
-    """
-
-    num_tokens = 3
-
-    def __init__(self, sizes: ConditionSizes, width: int) -> None:
-        super().__init__()
-        self.text_in = nn.Linear(sizes.text_dimension, width)
-        self.actions = nn.Embedding(max(len(sizes.actions), 1), width)
-        self.duration_in = nn.Sequential(nn.Linear(2 * DURATION_FREQUENCIES, width), nn.SiLU(), nn.Linear(width, width))
-        frequencies = 2.0 ** torch.arange(DURATION_FREQUENCIES) * (torch.pi / 8)
-        self.register_buffer("frequencies", frequencies, persistent=False)
-        self.frequencies: Tensor
-
-    def forward(self, conditions: Conditions) -> Float[Tensor, "batch 3 width"]:
-        """One token each; text embeddings are scaled to a root mean square of 1 before the projection."""
-        text = self.text_in(conditions.text * conditions.text.shape[1] ** 0.5)
-        known = (conditions.action >= 0)[:, None].to(text.dtype)
-        action = self.actions(conditions.action.clamp(min=0)) * known
-        angles = conditions.duration[:, None] * self.frequencies
-        duration = self.duration_in(torch.cat((angles.cos(), angles.sin()), dim=1))
-        return torch.stack((text, action, duration), dim=1)
-
-
-class Denoiser(nn.Module):
-    """ε_φ(z_k, k, c): a transformer over [z…, k, text, action, duration] tokens (§3.2, Eq. 5; appendix D).
-
-    Long skip connections as in U-ViT (Bao et al. 2023): layer i of the first half feeds layer n − 1 − i, which joins
-    both by concatenation and a linear map.
-
-    Numbers of z that a motion of the given duration does not use are zero in input and output, and tokens of only such
-    numbers are masked out of the attention.
-    """
-
-    def __init__(
-        self, config: TransformerConfig, first_read: Float32[Tensor, "latent"], layout: ConditionSizes
-    ) -> None:
-        """`first_read` is the earliest instant at which the field reads each number of z."""
-        super().__init__()
-        if len(first_read) % config.latent_tokens:
-            raise ValueError(f"a latent of {len(first_read)} numbers cannot be cut into {config.latent_tokens} tokens")
-        self.config = config
-        self.register_buffer("first_read", first_read)
-        self.first_read: Tensor
-        self.always_whole = bool((first_read < 0).all())
-        per_token = len(first_read) // config.latent_tokens
-        half = config.num_layers // 2
-        self.latent_in = nn.Linear(per_token, config.width)
-        self.step_in = nn.Sequential(
-            nn.Linear(config.width, config.width), nn.SiLU(), nn.Linear(config.width, config.width)
-        )
-        self.conditions_in = ConditionEmbedding(layout, config.width)
-        self.positions = nn.Parameter(
-            torch.randn(config.latent_tokens + 1 + ConditionEmbedding.num_tokens, config.width) * 0.02
-        )
-        self.layers = nn.ModuleList(SkipLayer(config) for _ in range(config.num_layers))
-        self.skips = nn.ModuleList(nn.Linear(2 * config.width, config.width) for _ in range(half))
-        self.out_norm = nn.LayerNorm(config.width)
-        self.noise_out = nn.Linear(config.width, per_token)
-
-    def forward(
-        self, latents: Float[Tensor, "batch latent"], steps: Int64[Tensor, "batch"], conditions: Conditions
-    ) -> Float[Tensor, "batch latent"]:
-        """The prediction that `DiffusionConfig.prediction` names."""
-        used = in_use(self.first_read, conditions.duration)
-        z = self.latent_in(self._tokens(latents * used))
-        time = self.step_in(step_features(steps, self.config.width))[:, None]
-        tokens = torch.cat((z, time, self.conditions_in(conditions)), dim=1) + self.positions
-        mask = self._mask(used)
-        tokens = through_long_skips(tokens, self.layers, self.skips, lambda layer, tokens: layer(tokens, mask))
-        out: Tensor = self.noise_out(self.out_norm(tokens[:, : self.config.latent_tokens]))
-        return out.flatten(1) * used
-
-    def _tokens(self, numbers: Shaped[Tensor, "batch latent"]) -> Shaped[Tensor, "batch tokens per_token"]:
-        return numbers.view(len(numbers), self.config.latent_tokens, -1)
-
-    def _mask(self, used: Bool[Tensor, "batch latent"]) -> Bool[Tensor, "batch 1 1 tokens"] | None:
-        """The attention mask over tokens; None if all are used."""
-        if self.always_whole:
-            return None
-        of_latent = self._tokens(used).any(dim=2)
-        return nn.functional.pad(of_latent, (0, len(self.positions) - of_latent.shape[1]), value=True)[:, None, None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,8 @@ from motionkit.training.devices import resolve_device
 from motionkit.training.loop import load_tensors, prefixed, rebuilding, save_tensors, unprefixed
 from motionkit.training.networks import VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunFolder, StageFolder
-from nerm.network import Bank, EncodedCoordinates, FieldNetwork, LocalLatents, local_latents, relative_to
+from nerm.latents import Bank, LocalLatents, local_latents, relative_to
+from nerm.network import EncodedCoordinates, FieldNetwork
 from nerm.recipes import FieldConfig, LatentScale
 
 ROOT_PATH = (0, 2)

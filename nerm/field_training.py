@@ -54,7 +54,8 @@ from nerm.field import (
     measured_space,
     save_field,
 )
-from nerm.network import FieldNetwork, first_read, in_use
+from nerm.latents import first_read, in_use
+from nerm.network import FieldNetwork
 from nerm.recipes import FieldConfig, NermConfig
 
 LOG_VARIANCE_RANGE = (-12.0, 4.0)

@@ -39,7 +39,8 @@ from motionkit.training.run import RunError, RunFolder
 from motionkit.training.text import TextEncoder, load_same_encoder
 from nerm.denoiser import TrainedDenoiser, load_denoiser, unit_rows
 from nerm.field import TrainedField, load_field
-from nerm.network import EncodedCoordinates, in_use
+from nerm.latents import in_use
+from nerm.network import EncodedCoordinates
 from nerm.recipes import row_name
 
 BONE_SAMPLES = 200

@@ -24,10 +24,11 @@ from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
 from motionkit.data.windows import Windows
 from motionkit.generate.models import GenerationRequest
 from motionkit.training.networks import ConditionSizes, VectorScaling
-from nerm.denoiser import Denoiser, TrainedDenoiser
+from nerm.denoiser import TrainedDenoiser
 from nerm.field import LatentSpace, TrainedField
+from nerm.latents import first_read, local_latents
 from nerm.model import NermModel, load
-from nerm.network import FieldNetwork, first_read, local_latents
+from nerm.network import Denoiser, FieldNetwork
 from nerm.recipes import RECIPES
 
 SECONDS = 9.8

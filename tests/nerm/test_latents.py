@@ -24,17 +24,8 @@ from nerm.field import (
     ridge_knots,
     steps_of,
 )
-from nerm.network import (
-    Bank,
-    FieldNetwork,
-    Kernel,
-    LocalLatents,
-    first_read,
-    in_use,
-    local_latents,
-    mix,
-    placed,
-)
+from nerm.latents import Bank, Kernel, LocalLatents, first_read, in_use, local_latents, mix, placed
+from nerm.network import FieldNetwork
 from nerm.recipes import FieldConfig, LatentScale
 from tests.helpers.nerm_corpus import analytic_positions, corpus_in_memory
 from tests.nerm.small_fields import local_settings

@@ -14,10 +14,11 @@ from motionkit.training.config import DiffusionConfig
 from motionkit.training.loop import seeded_initialisation
 from motionkit.training.networks import ConditionSizes
 from motionkit.training.run import RunError
-from nerm.denoiser import Denoiser, TrainedDenoiser
+from nerm.denoiser import TrainedDenoiser
 from nerm.field import LatentSpace, TrainedField
+from nerm.latents import ALWAYS
 from nerm.model import NermModel
-from nerm.network import ALWAYS
+from nerm.network import Denoiser
 from nerm.recipes import DenoiserConfig, TransformerConfig
 
 NETWORK = TransformerConfig(num_layers=3, width=16, num_heads=2, ffn_width=32, dropout=0.0)

@@ -5,8 +5,8 @@ import torch
 
 from motionkit.training.config import apply_overrides
 from motionkit.training.networks import Conditions, ConditionSizes
-from nerm.denoiser import Denoiser, attention
-from nerm.network import ALWAYS, FieldNetwork, in_use
+from nerm.latents import ALWAYS, in_use
+from nerm.network import Denoiser, FieldNetwork, attention
 from nerm.recipes import RECIPES, FieldConfig, TransformerConfig
 
 TINY = apply_overrides(
