@@ -17,7 +17,7 @@ from eval.report.results import Block, Cell, Row, measure
 from eval.sets.damage import FAMILIES, NUM_GAMES, Family, games, shift_between_frames, translate, turn
 from eval.sets.motions import real_motion
 from eval.sets.sets import SampleSet
-from eval.tables.systems import COLUMNS, label
+from eval.tables.systems import COLUMNS
 from eval.tables.table import Content, EvalConfig, Table
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.progress import task
@@ -122,7 +122,7 @@ class Calibration:
     @property
     def column(self) -> str:
         """20 fps."""
-        return label(self.comparison.real.fps)
+        return f"{self.comparison.real.fps} fps"
 
     @property
     def passes(self) -> bool:

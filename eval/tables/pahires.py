@@ -55,6 +55,8 @@ METRICS = {
 }
 WINDOW_METRICS = {"l2p": "L2P", "l2q": "L2Q", "npss": "NPSS"}
 PRINTED_METRICS = {"psnr_db": "PSNR (dB)", "ssim": "SSIM"}
+SMALL_TAKES = 100
+SMALL = " **Small scale**: a data set of fewer than 100 takes says little about others."
 INTERVALS = "± is half the 95 % interval over takes."
 PAHIRES = find_ablations("pahires")
 STAGE = next(iter(PAHIRES.stages))
@@ -69,6 +71,7 @@ class Clips:
 
     label: str
     fps: Fraction
+    num_takes: int
     remark: str
     measure: Callable[[Completer], Scores]
 
@@ -140,14 +143,15 @@ def _interpolated(
         reasons = " and ".join(f"{count:,} {why}" for why, count in left_out.items() if count)
         remark += (f"; left out are {reasons}" if reasons else "") + f"; {split_remark(store, clips, config.split)}"
         measure = partial(measure_interpolation, clips, measure_scale(training), scales)
-        return Clips(data_set.label, data_set.fps, remark, measure)
+        return Clips(data_set.label, data_set.fps, clips.num_takes, remark, measure)
 
     terms = {"version": VERSION, "store": store.fingerprint, "scales": [str(each) for each in scales]}
     scopes, clips = _scored("interpolation", data_sets, opened, terms, completers, config)
+    small = min(each.num_takes for each in clips) < SMALL_TAKES
     content = Content(
         caption=(
             f"Of every clip {NUM_GIVEN} real frames are given and all frames between them asked for; no frame of the "
-            f"truth is interpolated. S{config.real[1:]}."
+            f"truth is interpolated. S{config.real[1:]}.{SMALL if small else ''}"
         ),
         blocks=(),
         definition={"given_frames": NUM_GIVEN, "clip_frames": CLIP_FRAMES, "psnr_ceiling_db": CEILING_DB},
@@ -360,7 +364,7 @@ def window_table(table: WindowTable, config: EvalConfig, store: Store) -> Conten
         else:
             windows = data_set_windows(store, data_set, config.split, config.where)
         measure = partial(measure_windows, windows, table.questions)
-        return Clips(windows.name, FPS, f"{windows.name}: {windows.remark}", measure)
+        return Clips(windows.name, FPS, 0, f"{windows.name}: {windows.remark}", measure)
 
     terms = {"version": table.version, "store": store.fingerprint}
     data_sets = (each for each in data_sets_of(store) if each.fps == FPS)
@@ -396,8 +400,8 @@ def _printed_inbetweening(columns: tuple[str, ...]) -> list[Block]:
     return blocks
 
 
-TABLE_1, TABLE_2 = (
-    Table(
+def _interpolation_table(number: str, kind: str, scales: Sequence[Fraction]) -> Table:
+    return Table(
         "pahires",
         number,
         f"interpolation at {kind} scales",
@@ -406,8 +410,6 @@ TABLE_1, TABLE_2 = (
         heading=f"PA-HiRes, Table {number}: interpolation at {kind} scales",
         shown=partial(installed_encoders, "interpolation"),
     )
-    for number, kind, scales in (("1", "integer", INTEGER_SCALES), ("2", "non-integer", OTHER_SCALES))
-)
 
 
 def _ablation_table(number: str) -> Table:
@@ -429,6 +431,8 @@ def _window_table(number: str, title: str, heading: str, table: WindowTable) -> 
     )
 
 
+TABLE_1 = _interpolation_table("1", "integer", INTEGER_SCALES)
+TABLE_2 = _interpolation_table("2", "non-integer", OTHER_SCALES)
 TABLE_3 = _window_table("3", "in-betweening (LaFAN1's protocol)", ", Table 3: in-betweening", INBETWEENING)
 TABLE_4, FIGURE_5, FIGURE_6 = map(_ablation_table, ("4", "figure5", "figure6"))
 TABLE_EXTRAPOLATION = _window_table(

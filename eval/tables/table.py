@@ -80,6 +80,27 @@ class EvalConfig:
         """The real motion's name in captions: the split, and the condition if there is one."""
         return f"split {self.split!r}" + (f" where {self.where}" if self.where else "")
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings that every table's numbers depend on."""
+        return {
+            "split": self.split,
+            "where": self.where,
+            "motions": self.max_motions,
+            "draws": self.draws,
+        }
+
+    def open_store(self) -> Store:
+        """The store, for reading."""
+        return Store.open(self.store, on_progress=self.on_progress)
+
+    def provenance(self, store: Store, *others: Path, **more: Any) -> dict[str, Any]:
+        """Provenance of a result: the store, the weights of evaluated and other runs, seed, environment, and `more`."""
+        runs = (*([] if self.run is None else [self.run]), *others, *(run for _, run in self.encoders))
+        name = self.run.name if self.run is not None and self.run.is_dir() else None
+        known = provenance(store.path, [run for run in runs if run.is_dir()])
+        return {**known, "run": name, **more, "seed": self.seed}
+
     @cached_property
     def sample_folders(self) -> tuple[SampleFolder, ...]:
         """The motions of every folder of samples, read when first accessed; raises `SampleFolderError`."""
@@ -97,8 +118,8 @@ class EvalConfig:
 class Content:
     """What a table computes: its blocks (those without rows are left out), the caption and notes.
 
-    `definition` are settings beyond split, condition and numbers of motions; `runs` are further runs whose weights
-    count, `provenance` is what else the numbers come from.
+    `definition` are settings beyond `EvalConfig.settings`; `runs` are further runs whose weights count, `provenance` is
+    what else the numbers come from.
     """
 
     caption: str
@@ -150,29 +171,19 @@ class Table:
     def build(self, config: EvalConfig) -> Result:
         """The result; what it lacks is in `config.missing` too. Raises what `compute` and opening the store raise."""
         config.missing.clear()
-        store = Store.open(config.store, on_progress=config.on_progress)
+        store = config.open_store()
         content = self.compute(config, store)
-        run = [config.run] if config.run is not None and config.run.is_dir() else []
-        runs = (*run, *content.runs, *(path for _, path in config.encoders))
-        known = provenance(store.path, [path for path in runs if path.is_dir()])
         samples = {"samples": {each.name: each.fingerprint for each in config.sample_folders}} if config.samples else {}
-        settings = {"split": config.split, "where": config.where, "motions": config.max_motions, "draws": config.draws}
         return Result(
             task=self.task or f"{self.paper}-{self.target.replace(':', '')}",
             version=self.version,
             title=self.heading or f"{self.place}: {self.title}",
             caption=content.caption,
             blocks=tuple(block for block in content.blocks if block.rows),
-            definition={**settings, **content.definition},
+            definition={**config.settings, **content.definition},
             notes=content.notes,
             missing=config.missing.lines,
-            provenance={
-                **known,
-                "run": run[0].name if run else None,
-                **samples,
-                **content.provenance,
-                "seed": config.seed,
-            },
+            provenance=config.provenance(store, *content.runs, **samples, **content.provenance),
         )
 
 

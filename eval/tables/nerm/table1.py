@@ -64,6 +64,8 @@ from motionkit.training.text import load_text_encoder
 DEFAULT_FPS = Fraction(20)
 FIXED_SUFFIX, FIXED_ROW = "-fixed", ", fixed framerate"
 """Suffixes of a run whose models were trained at a single framerate, and of their rows."""
+SMALL = 1000
+"""With fewer motions the caption calls the table small-scale."""
 SENTENCES = "minilm"
 EVALUATORS = ("native", "guo", "motion-clip", "tmr")
 CHANCE, ORACLE, FLOOR = "chance", "each motion on its caption's point", "real, disjoint halves"
@@ -108,10 +110,12 @@ def compute(config: EvalConfig, store: Store) -> Content:
         # A single evaluator's error is the table's.
         with config.missing.skipping(f"evaluator {one.evaluator.name!r}", (MotionkitError,) if len(every) > 1 else ()):
             blocks += one.blocks(models)
+    fewest = min(len(each.real.captions) for each in every)
+    small = "" if fewest >= SMALL else f" A small-scale run: {fewest} real motions, and FID has the bias of its N."
     return Content(
         caption=(
             f"Whole motions and their captions, protocol {protocol.name!r} ({protocol.title}): mean over "
-            f"{protocol.replications} replications ± half the 95 % interval over takes, {config.real}."
+            f"{protocol.replications} replications ± half the 95 % interval over takes, {config.real}.{small}"
         ),
         blocks=(*blocks, *map(paper_block, dict.fromkeys(each.real.samples.fps for each in every))),
         definition={
@@ -135,9 +139,10 @@ def compute(config: EvalConfig, store: Store) -> Content:
 TABLE = Table(
     "nerm",
     "1",
-    "text-to-motion",
+    "text-to-motion at 20 fps",
     "text-motion/1",
     compute,
+    heading="Table 1: text-to-motion",
     shown=installed_models,
     reads=("evaluator",),
 )

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from eval.clip_fid.score import CLIP_FID, VERSION, FeatureSource, feature_sources
+from eval.clip_fid.score import CLIP_FID, VERSION, Comparison, FeatureSource, feature_sources
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, measure, with_differences
 from eval.sets.copies import HELD_OUT_SHARE, STILL_METRES, TrainingWindows, held_out_limit
@@ -37,6 +37,8 @@ from motionkit.store.reader import Store
 
 GENERATED_NOTE = "asked for at the column's framerate, with the captions and durations of its real sequences"
 UPSAMPLED_NOTE = "the same motions asked for at 20 fps, then upsampled like the real ones"
+SMALL_SECONDS = 3600.0
+"""With less real motion at any framerate, the caption calls the table small-scale."""
 COPIES = "Copies of training motion"
 HELD_OUT = RowId(REAL.system, Variant.HELD_OUT)
 COPIED = "copied (%)"
@@ -74,9 +76,7 @@ class Sheet:
         for pair, difference in differences.items():
             self.differences.setdefault(pair, {})[name] = difference
         self.fingerprints[name] = comparison.features.fingerprint
-        size, num_clips = comparison.num_features, comparison.protocol.num_clips
-        if num_clips <= size:
-            self.remarks[f"With {num_clips} clips for {size} features every covariance is singular."] = None
+        self.remarks |= dict.fromkeys(_too_few(column, comparison))
 
     def blocks(self, labels: tuple[str, ...], notes: Mapping[RowId, str], config: EvalConfig) -> list[Block]:
         """The scores, and which rows differ."""
@@ -152,12 +152,13 @@ def compute(config: EvalConfig, store: Store) -> Content:
         slow = generated_at(fields, real.at(LOW_FPS), LOW_FPS, Missing())
         slow |= {RowId(folder.name): folder.at(LOW_FPS) for folder in config.sample_folders}
         copies.append(copies_block(real.at(LOW_FPS), train.at(LOW_FPS), slow, notes))
-    protocol = config.clips
+    protocol, minutes = config.clips, min(each["seconds"] for each in real_sets.values()) / 60
+    small = "" if 60 * minutes >= SMALL_SECONDS else f" A small-scale run: real sets from {minutes:.1f} minutes on."
     return Content(
         caption=(
             f"clip-FID ({VERSION}), lower is better: mean over {protocol.replications} replications of N = "
             f"{protocol.num_clips:,} random clips on each side, {config.real}, ± half the 95 % interval over takes "
-            f"({protocol.resamplings} resamplings of the takes of both sides)."
+            f"({protocol.resamplings} resamplings of the takes of both sides).{small}"
         ),
         blocks=(
             *(block for sheet in sheets for block in sheet.blocks(tuple(real_sets), notes, config)),
@@ -192,6 +193,19 @@ def _row_notes(generated: ModelFields, training: Mapping[str, str], config: Eval
     variants = {Variant.UPSAMPLED: UPSAMPLED_NOTE, Variant.AS_VECTORS: ROW_NOTES[VECTORS], **VARIANT_NOTES}
     of_variants = {RowId(system, variant): note for system in own for variant, note in variants.items()}
     return {**ROW_NOTES, **{RowId(system): note for system, note in own.items()}, **of_variants}
+
+
+def _too_few(column: Column, comparison: Comparison) -> list[str]:
+    """Remarks on columns with no more samples than features, whose covariances are singular."""
+    size = comparison.num_features
+    counts = {"the real set": column.real.num_sequences}
+    own = {row: samples for row, samples in column.rows.items() if row not in REFERENCES}
+    counts |= {str(row): each.num_sequences for row, each in own.items() if row.variant is Variant.AS_IS}
+    few = ", ".join(f"{name} ({count})" for name, count in counts.items() if count <= size)
+    few = few and f"At {label(column.fps)} these have no more motions than there are features ({size}): {few}."
+    num_clips = comparison.protocol.num_clips
+    singular = f"With {num_clips} clips for {size} features every covariance is singular." if num_clips <= size else ""
+    return list(filter(None, (few, singular)))
 
 
 def copies_block(

@@ -12,7 +12,15 @@ from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_a
 from eval.metrics.actions import accuracy
 from eval.metrics.distributions import kid
 from eval.metrics.number import Number, half_width
-from eval.report.results import DRAWING, Block, Cell, Row, measure, score_differences, with_differences
+from eval.report.results import (
+    DRAWING,
+    Block,
+    Cell,
+    Row,
+    measure,
+    score_differences,
+    with_differences,
+)
 from eval.sets.motions import VARIANT_NOTES, RealMotion, has_training, real_motion
 from eval.sets.sets import REAL, RowId, SampleSet, check_sample_names, size_remarks
 from eval.tables.systems import trained_models
@@ -37,6 +45,7 @@ PAPER_COLUMNS = {
     "multimodality": "MultiModality",
 }
 VARIANCE = '1.96 · variance (ACTOR\'s "±")'
+SMALL_MOTIONS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +91,12 @@ def compute(config: EvalConfig, store: Store) -> Content:
     with task(config.on_progress, "generating"):
         systems += [*_generated(compared, recogniser, config), *_samples(source, recogniser, config)]
     number, counts = compared.samples.num_sequences, np.bincount(compared.labels)
+    small = "" if number >= SMALL_MOTIONS else " A small-scale run: rows say how systems rank on this store."
     return Content(
         caption=(
             f"What a recogniser of actions ({source.title}) says of {number:,} real motions of "
             f"{np.count_nonzero(counts)} actions, {config.real}, and of motions generated for the same actions at "
-            f"{source.fps} fps: mean over the protocol's replications ± half the 95 % interval over motions."
+            f"{source.fps} fps: mean over the protocol's replications ± half the 95 % interval over motions.{small}"
         ),
         blocks=(
             *(block for protocol in protocols for block in _blocks(protocol, source, references, systems, config)),

@@ -216,9 +216,10 @@ def compute(config: EvalConfig, store: Store) -> Content:
 TABLE = Table(
     "nerm",
     "4",
-    "reconstruction by framerate",
+    "reconstruction MPJPE and MRE by framerate",
     VERSION,
     compute,
+    heading="Table 4: reconstruction by framerate",
     takes_samples=False,
     shown=partial(installed_encoders, "reconstruction"),
 )

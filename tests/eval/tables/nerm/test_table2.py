@@ -125,6 +125,7 @@ def test_generations_of_a_model_count_as_its_motions_and_rows_are_compared(
     scores, differences = result.blocks[:2]
     row = next(row for row in scores.rows if row.name == NERM)
     assert "24 motions of 12 takes at 20, 60 fps" in row.note
+    assert "NeRM (24)" in scores.note
     told = {row.name: row for row in differences.rows}
     assert "better: 60 fps" in told[f"{NERM} − {systems.SLERP}"].note
     assert "not told apart" in told[f"{NERM_SLERP} − {systems.SLERP}"].note
