@@ -16,7 +16,8 @@ import torch
 from torch import Tensor
 
 from eval.clip_fid.score import KINEMATIC, Comparison, Motions, Protocol, samples_of
-from eval.metrics.metric import MeanSums, find_metric
+from eval.metrics.metric import MeanSums
+from eval.metrics.registry import find_metric
 from eval.metrics.retrieval import REFERENCE_POOL, r_precision
 from motionkit.core.errors import MissingExtraError
 from motionkit.core.shapes import Float, Int

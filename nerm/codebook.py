@@ -35,6 +35,7 @@ from motionkit.training.loop import (
     foreign_tensors,
     prefixed,
     read_foreign,
+    run_training,
     save_tensors,
     seeded_initialisation,
 )
@@ -361,7 +362,7 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     ranks.on_first(partial(write_vectors, source, settings, vectors))
     corpus = vector_corpus(source, settings, vectors)
     training = CodebookTraining(corpus, settings, seed=context.seed, device=device, ranks=ranks)
-    figures = context.train(training, folder)
+    figures = run_training(context, training, folder)
     if not ranks.is_first:
         return
     tensors = {"codes": training.network.quantiser.codes, "mean": corpus.mean, "scale": corpus.scale}

@@ -26,6 +26,7 @@ from motionkit.training.loop import (
     load_tensors,
     prefixed,
     rebuilding,
+    run_training,
     save_tensors,
     seeded_initialisation,
     step_generator,
@@ -343,7 +344,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
     folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint, builds_on=("field",))
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
-    figures = context.train(training, folder)
+    figures = run_training(context, training, folder)
     if not ranks.is_first:
         return
     trained = training.finished(

@@ -39,6 +39,7 @@ from motionkit.training.loop import (
     Learner,
     load_tensors,
     prefixed,
+    run_training,
     seeded_initialisation,
     step_generator,
 )
@@ -284,7 +285,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         warn(remark)
     poses = WindowPoses(windows, frames, settings.clips.fixed_framerate)
     training = FieldTraining(poses, settings, codebook=codes, seed=context.seed, device=device, ranks=ranks)
-    figures = context.train(training, folder)
+    figures = run_training(context, training, folder)
     mean, log_variance = training.posteriors()
     if not ranks.is_first:
         return

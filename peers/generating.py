@@ -32,6 +32,7 @@ from motionkit.training.loop import (
     load_tensors,
     prefixed,
     rebuilding,
+    run_training,
     save_tensors,
     seeded_initialisation,
     step_generator,
@@ -200,7 +201,7 @@ def train_stage(stage: PeerStage, context: StageContext, config: PeerConfig) -> 
         network = stage.make_network(config.network, NetworkInputs(space, sizes, len(corpus), networks))
     folder = context.begin(stage.name, config, store_fingerprint=store.fingerprint, builds_on=stage.earlier)
     training = PeerTraining(config, corpus, network, device)
-    figures = context.train(training, folder)
+    figures = run_training(context, training, folder)
     tensors = {
         **prefixed("network", training.learner.trained_tensors()),
         **prefixed("scaling", vars(scaling)),

@@ -12,7 +12,7 @@ from collections import Counter
 import numpy as np
 from scipy.linalg import eigh
 
-from eval.actions.recognisers import ActionRecogniser, FeaturesAndScores
+from eval.actions.recogniser import ActionRecogniser, FeaturesAndScores
 from eval.clip_fid.descriptor import local_poses
 from eval.sets.sets import SampleSet, middle
 from motionkit.core.errors import MotionkitError

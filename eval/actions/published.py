@@ -19,7 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from eval.actions.recognisers import ActionRecogniser, FeaturesAndScores, find_recogniser
+from eval.actions.recogniser import ActionRecogniser, FeaturesAndScores
+from eval.actions.recognisers import find_recogniser
 from eval.sets.sets import SampleSet
 from motionkit.core import kinematics
 from motionkit.core.errors import MotionkitError

@@ -1,42 +1,10 @@
-"""Recognisers of actions, by their names."""
+"""Recognisers of actions, by their names: fitted on a store, or published."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
 
-import numpy as np
-
-from eval.sets.sets import SampleSet
-from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.shapes import Float64
+from motionkit.core.errors import UsageError
 from motionkit.io import joints_npy, uestc
-
-FeaturesAndScores = tuple[Float64[np.ndarray, "sequences features"], Float64[np.ndarray, "sequences actions"]]
-
-
-@dataclass(frozen=True, eq=False)
-class ActionRecogniser:
-    """Classifies motions at `fps` by `actions`; a motion's row depends on that motion alone.
-
-    `fingerprint` is a hash of everything that the numbers depend on: definition, weights, settings. `describe` gives
-    features, and scores in the order of the actions.
-    """
-
-    name: str
-    fps: Fraction
-    actions: tuple[str, ...]
-    fingerprint: str
-    describe: Callable[[SampleSet], FeaturesAndScores]
-
-    def recognise(self, samples: SampleSet) -> FeaturesAndScores:
-        """Features and scores of every sequence. Raises `MotionkitError` for an unsupported framerate or skeleton."""
-        if self.fps != samples.fps:
-            raise MotionkitError(
-                f"{samples.name}: motions at {samples.fps} fps, but the recogniser {self.name!r} was trained at "
-                f"{self.fps} fps only; resample them first"
-            )
-        return self.describe(samples)
 
 
 @dataclass(frozen=True)
@@ -52,26 +20,6 @@ class RecogniserSource:
     note: str
     dataset: str = ""
     needs_rotations: bool = False
-
-    def make(self, train: Callable[[], SampleSet], weights: Path | None) -> ActionRecogniser:
-        """The recogniser, fitted on the training motions at `fps` or read from the file of weights.
-
-        Raises `UsageError` for weights where none are read, or none where they are.
-        """
-        if not self.dataset:
-            from eval.actions.linear import fit_linear
-
-            if weights is not None:
-                raise UsageError(
-                    "--weights needs a published recogniser ('linear' is fitted on the store): choose one with "
-                    "--evaluator humanact12 or uestc"
-                )
-            return fit_linear(train())
-        from eval.actions.published import load_humanact12, load_uestc
-
-        if weights is None:
-            raise UsageError(f"--evaluator {self.name} needs the file of its weights: --weights FILE")
-        return (load_uestc if self.needs_rotations else load_humanact12)(weights)
 
 
 SOURCES = (

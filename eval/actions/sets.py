@@ -7,7 +7,7 @@ from itertools import chain
 
 import numpy as np
 
-from eval.actions.recognisers import ActionRecogniser
+from eval.actions.recogniser import ActionRecogniser
 from eval.actions.scores import Recognition
 from eval.sets.motions import as_known, is_unconditional, refusal
 from eval.sets.sets import Missing, RowId, SampleSet, Variant, sample_set

@@ -8,8 +8,9 @@ from fractions import Fraction
 import numpy as np
 
 from eval.completion.encoders import Completer
-from eval.metrics.metric import MeanSums, find_metric
+from eval.metrics.metric import MeanSums
 from eval.metrics.number import Number, Resampling, with_takes
+from eval.metrics.registry import find_metric
 from eval.report.results import Block, Cell, Differences, Measure, Row, cell_of, differences_block, measure, pairs_of
 from eval.sets.sets import RowId
 from motionkit.core.shapes import Shaped

@@ -1,8 +1,7 @@
 """Metadata of metrics: unit, direction, source and, for means, the weights; sums of means."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -90,20 +89,3 @@ def by_steps(order: int) -> Callable[..., float]:
 def by_clip_frames(first: Array, *_: Array) -> float:
     """Weight: number of frames of clips [clips, frames, …]."""
     return float(first.shape[0] * first.shape[1])
-
-
-@cache
-def all_metrics() -> Mapping[str, Metric]:
-    """All metrics by name: those in `METRICS` of the modules of `eval.metrics`."""
-    from eval.metrics import actions, distributions, motion, physical, physical_published, retrieval
-
-    modules = (actions, distributions, motion, physical, physical_published, retrieval)
-    return {metric.name: metric for module in modules for metric in module.METRICS}
-
-
-def find_metric(name: str) -> Metric:
-    """A metric by name; raises `KeyError` with the names there are."""
-    known = all_metrics()
-    if name not in known:
-        raise KeyError(f"there is no metric {name!r}: {', '.join(known)}")
-    return known[name]

@@ -28,7 +28,7 @@ from motionkit.store.cache import PositionCache, cache_root, open_cache
 from motionkit.store.reader import Store
 from motionkit.training.config import to_plain
 from motionkit.training.devices import resolve_device
-from motionkit.training.loop import Learner, dropout_from, save_tensors, seeded_initialisation
+from motionkit.training.loop import Learner, dropout_from, run_training, save_tensors, seeded_initialisation
 from motionkit.training.run import StageContext
 from motionkit.training.text import embed_texts, load_text_encoder
 
@@ -201,7 +201,7 @@ def train_evaluator(stage: str, context: StageContext, config: EvaluatorConfig) 
         network = EvaluatorNetwork(config.network, encoder.dimension)
     trainable = EvaluatorTraining(config, banks, sentences, network, resolve_device(context.device))
     trainable.standardise_by(np.random.default_rng((context.seed, 1)))
-    latest = context.train(trainable, folder)
+    latest = run_training(context, trainable, folder)
     header = {
         "version": VERSIONS[stage],
         "config": to_plain(config),

@@ -15,8 +15,9 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from eval.metrics.metric import Metric, find_metric
+from eval.metrics.metric import Metric
 from eval.metrics.number import Number
+from eval.metrics.registry import find_metric
 from eval.sets.sets import RowId
 from motionkit.core.errors import MotionkitError, shown
 from motionkit.core.files import read_json, write_json

@@ -37,7 +37,7 @@ from eval.completion.windows import (
     lafan1_windows,
     measure_windows,
 )
-from eval.metrics.metric import find_metric
+from eval.metrics.registry import find_metric
 from eval.report.results import Block, Cell, Row
 from eval.tables.table import SOURCES, Content, EvalConfig, Reported, Table, cached, printed_block, reported_figures
 from motionkit.core.errors import MotionkitError

@@ -9,10 +9,11 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.metrics.metric import Metric, find_metric
+from eval.metrics.metric import Metric
 from eval.metrics.number import Number, Resampling, Units, units_of, with_takes
 from eval.metrics.physical import METRICS, ground_height
 from eval.metrics.physical_published import METRICS as PUBLISHED
+from eval.metrics.registry import find_metric
 from eval.report.results import Block, Row, cell_of, measure, score_differences, with_differences
 from eval.sets.motions import NoRealMotionError, real_motion, training_motion
 from eval.sets.sets import REAL, RowId, SampleSet, Variant

@@ -26,8 +26,8 @@ from safetensors.torch import save_file
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import sync, whole_file, write_json
 from motionkit.core.progress import OnProgress, ignore, task
-from motionkit.training.devices import ALONE, Ranks
-from motionkit.training.run import RunError, StageFolder, check_recorded, clear_stage
+from motionkit.training.devices import ALONE, Ranks, resolve_device
+from motionkit.training.run import RunError, StageContext, StageFolder, check_recorded, clear_stage
 
 # Measured steps are spread evenly over the training, since early ones may cost less; rounds are repeated until this
 # share of the budget is spent.
@@ -59,6 +59,19 @@ class Trainable(Protocol):
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Restore what `state_tensors` returned."""
         ...
+
+
+def run_training(context: StageContext, training: Trainable, folder: StageFolder) -> dict[str, float]:
+    """Run a stage's steps, as many as the budget allows if there is one.
+
+    Returns the figures of `train_loop`; errors as there and in `plan_steps`.
+    """
+    if context.budget_seconds is not None:
+        if context.ranks.size > 1:
+            raise UsageError("--budget is for one process: a rank does not know what the others have spent")
+        clock = seconds_spent(resolve_device(context.device))
+        plan_steps(training, folder, context.budget_seconds, context.seed, clock)
+    return train_loop(training, folder, seed=context.seed, ranks=context.ranks, on_progress=context.on_progress)
 
 
 def train_loop(

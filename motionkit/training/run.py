@@ -48,7 +48,6 @@ from motionkit.training.config import (
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
     from motionkit.training.devices import Ranks
-    from motionkit.training.loop import Trainable
 
 
 # A pattern. Without a hyphen first, as options have.
@@ -412,21 +411,6 @@ class StageContext:
             "builds_on": self.run.fingerprints(builds_on),
             "budget_seconds": self.budget_seconds,
         }
-
-    def train(self, training: "Trainable", folder: StageFolder) -> dict[str, float]:
-        """Run a training's steps, as many as the budget allows if there is one.
-
-        Returns the figures of `train_loop`; errors as there and in `plan_steps`.
-        """
-        from motionkit.training.devices import resolve_device
-        from motionkit.training.loop import plan_steps, seconds_spent, train_loop
-
-        if self.budget_seconds is not None:
-            if self.ranks.size > 1:
-                raise UsageError("--budget is for one process: a rank does not know what the others have spent")
-            clock = seconds_spent(resolve_device(self.device))
-            plan_steps(training, folder, self.budget_seconds, self.seed, clock)
-        return train_loop(training, folder, seed=self.seed, ranks=self.ranks, on_progress=self.on_progress)
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from motionkit.training.loop import (
     load_tensors,
     prefixed,
     rebuilding,
+    run_training,
     save_tensors,
     seeded_initialisation,
     unprefixed,
@@ -68,7 +69,7 @@ class TemporalSystem:
         with seeded_initialisation(context.seed, self.name):
             network = self.make_network(config, takes.num_features)
         training = TemporalTraining(network, WindowSampler(takes, settings), seed=context.seed, device=device)
-        figures = context.train(training, folder)
+        figures = run_training(context, training, folder)
         tensors = prefixed("network", training.learner.trained_tensors())
         description = {
             "format": FORMAT,

@@ -5,8 +5,9 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from eval.actions.linear import MIN_FRAMES
-from eval.actions.recognisers import ActionRecogniser, RecogniserSource, find_recogniser
+from eval.actions.linear import MIN_FRAMES, fit_linear
+from eval.actions.recogniser import ActionRecogniser
+from eval.actions.recognisers import RecogniserSource, find_recogniser
 from eval.actions.scores import ActionProtocol, Recognition, find_action_protocol, score_actions
 from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_actions, known_to_all, with_rotations
 from eval.metrics.actions import accuracy
@@ -70,8 +71,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
     source = find_recogniser(names[0])
     protocols = [find_action_protocol(name) for name in config.protocol.split(",")]
     with task(config.on_progress, "recogniser"):
-        weights = config.guo.weights if config.guo else None
-        recogniser = source.make(lambda: _training_samples(source, store, config), weights)
+        recogniser = _recogniser(source, store, config)
 
     def real_actions(motion: RealMotion) -> ActionSet:
         found = known_actions(motion.at(source.fps), recogniser.actions)
@@ -129,6 +129,23 @@ TABLE = Table(
     shown=installed_models,
     settings=("conditions.kind=action",),
 )
+
+
+def _recogniser(source: RecogniserSource, store: Store, config: EvalConfig) -> ActionRecogniser:
+    """The recogniser, fitted on the training motions or read from the file of weights."""
+    weights = config.guo.weights if config.guo else None
+    if not source.dataset:
+        if weights is not None:
+            raise UsageError(
+                "--weights needs a published recogniser ('linear' is fitted on the store): choose one with "
+                "--evaluator humanact12 or uestc"
+            )
+        return fit_linear(_training_samples(source, store, config))
+    from eval.actions.published import load_humanact12, load_uestc  # deferred: torch
+
+    if weights is None:
+        raise UsageError(f"--evaluator {source.name} needs the file of its weights: --weights FILE")
+    return (load_uestc if source.needs_rotations else load_humanact12)(weights)
 
 
 def _training_samples(source: RecogniserSource, store: Store, config: EvalConfig) -> SampleSet:

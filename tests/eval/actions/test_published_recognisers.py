@@ -19,7 +19,7 @@ from eval.actions.published import (
     load_uestc,
     uestc_inputs,
 )
-from eval.actions.recognisers import ActionRecogniser
+from eval.actions.recogniser import ActionRecogniser
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
 from motionkit.io.smpl_body import SMPL

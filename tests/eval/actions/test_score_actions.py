@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from eval.actions.scores import ACTION_PROTOCOLS, Recognition, find_action_protocol, score_actions
-from eval.metrics.metric import find_metric
+from eval.metrics.registry import find_metric
 
 CLASSES = 4
 

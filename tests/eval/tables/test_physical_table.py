@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.metrics.metric import find_metric
 from eval.metrics.number import Resampling
 from eval.metrics.physical import slide_speed
+from eval.metrics.registry import find_metric
 from eval.sets.sets import sample_set
 from eval.tables.physical import PER_FRAME, TABLE, measured
 from motionkit.core.motion import Caption, Motion

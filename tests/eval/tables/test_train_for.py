@@ -19,7 +19,7 @@ from motionkit.core.errors import UsageError
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import read_manifest
 from motionkit.training import loop as loop_module
-from motionkit.training.loop import load_tensors, save_tensors
+from motionkit.training.loop import load_tensors, run_training, save_tensors
 from motionkit.training.run import Loader, Stage, StageContext, StageFolder
 from tests.helpers.plugin_lists import install_only
 
@@ -86,7 +86,7 @@ class World:
             fingerprint = read_manifest(context.store).fingerprint
             folder = context.begin(name, config, store_fingerprint=fingerprint, builds_on=builds_on(config))
             training = Climb(config.steps, self.clock)
-            context.train(training, folder)
+            run_training(context, training, folder)
             save_tensors(folder.model_path, training.state_tensors(), {})
             folder.finish({"steps": training.steps})
 

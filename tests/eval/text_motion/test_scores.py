@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eval.metrics.metric import find_metric
 from eval.metrics.number import Scores
+from eval.metrics.registry import find_metric
 from eval.text_motion.protocol import (
     TEXT_MOTION_PROTOCOLS,
     RetrievalRule,
