@@ -104,7 +104,7 @@ class Protocol:
     max_poses: int = 64
     num_clips: int = 4096
     replications: int = 20
-    detailed_replications: int = 3
+    detailed_replications: int = 1
     num_neighbours: int = 5
     seed: int = 0
     resamplings: int = RESAMPLINGS
