@@ -163,7 +163,7 @@ SCENES: dict[str, tuple[Spoil, tuple[str, ...]]] = {
     "store: a layout map nested without end": (rows("skeletons", with_value("layout_map", 0, "[" * 100_000)), INFO),
     "run: a seed of 400 digits": (document(f"{FIELD}/config.json", seed=10**400), MAKE),
     "run: settings of escape sequences": (document(f"{FIELD}/config.json", config={EVIL: EVIL}), MAKE),
-    "run: a log of 10³⁰ bytes": (document(f"{FIELD}/summary.json", step=EVIL, wall_seconds={"a": 1}), TABLE),
+    "run: a summary of escape sequences": (document(f"{FIELD}/summary.json", step=EVIL, wall_seconds={"a": 1}), TABLE),
     "model: a header of 2⁶³ bytes": (text(f"{FIELD}/model.safetensors", (2**63).to_bytes(8, "little") + b"{}"), MAKE),
     "model: a shape without end": (text(f"{FIELD}/model.safetensors", SHAPE_WITHOUT_END), MAKE),
     "model: a tensor of another name": (header(lambda each: each.update({EVIL: each.pop(min(each))})), MAKE),
