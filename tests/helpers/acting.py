@@ -3,6 +3,7 @@
 import numpy as np
 
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
 
 ACTIONS = ("nod", "shuffle left", "shuffle right")
 
@@ -10,12 +11,9 @@ ACTIONS = ("nod", "shuffle left", "shuffle right")
 def acted_at(seconds: np.ndarray, action: str, seed: int) -> np.ndarray:
     """Joint positions [times, 22, 3] in metres; the same at an instant, whatever the others are."""
     rng = np.random.default_rng(seed)
-    pose = np.zeros((22, 3))
-    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
-        pose[joint] = pose[parent] + SMPL22.offsets[joint]
     time = seconds[:, None]
     rate, phase = rng.uniform(0.2, 1.0, (22, 3)), rng.uniform(0, 6, (22, 3))
-    body = pose + 0.01 * np.sin(2 * np.pi * rate * time[..., None] + phase)
+    body = rest_positions(SMPL22) + 0.01 * np.sin(2 * np.pi * rate * time[..., None] + phase)
     if action == "nod":
         body[:, [12, 15], 2] += 0.1 * np.sin(2 * np.pi * rng.uniform(0.8, 1.2) * time)
     else:

@@ -8,6 +8,7 @@ import numpy as np
 
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.fields.motion_field import Poses, check_times
 
 
@@ -22,10 +23,7 @@ class Drift:
 
     def query(self, times_seconds):
         check_times(self, times_seconds)
-        rest = np.zeros((22, 3), dtype=np.float32)
-        for joint, parent in enumerate(SMPL22.parents[1:], start=1):
-            rest[joint] = rest[parent] + SMPL22.offsets[joint]
-        positions = np.repeat(rest[None], len(times_seconds), axis=0)
+        positions = np.repeat(rest_positions(SMPL22)[None], len(times_seconds), axis=0)
         positions[..., 2] += (self.offset + times_seconds[:, None]).astype(np.float32)
         return Poses(positions)
 

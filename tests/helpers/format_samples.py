@@ -1,39 +1,44 @@
 """Small files that the format tests write: a human-sized BVH, an ASF skeleton and an AMC motion."""
 
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-BVH_JOINTS = (
-    ("Hips", None, (0, 95, 0)),
-    ("Spine", "Hips", (0, 25, 0)),
-    ("Neck", "Spine", (0, 27, 0)),
-    ("Head", "Neck", (0, 12, 0)),
-    ("LeftArm", "Spine", (18, 22, 0)),
-    ("LeftForeArm", "LeftArm", (28, 0, 0)),
-    ("LeftHand", "LeftForeArm", (26, 0, 0)),
-    ("RightArm", "Spine", (-18, 22, 0)),
-    ("RightForeArm", "RightArm", (-28, 0, 0)),
-    ("RightHand", "RightForeArm", (-26, 0, 0)),
-    ("LeftUpLeg", "Hips", (9, -5, 0)),
-    ("LeftLeg", "LeftUpLeg", (0, -42, 0)),
-    ("LeftFoot", "LeftLeg", (0, -42, 0)),
-    ("RightUpLeg", "Hips", (-9, -5, 0)),
-    ("RightLeg", "RightUpLeg", (0, -42, 0)),
-    ("RightFoot", "RightLeg", (0, -42, 0)),
-)
+Joints = Mapping[str, tuple[str, tuple[float, float, float]]]
+"""Parent (the root's is "") and offset of every joint, parents first."""
+
+BVH_JOINTS: Joints = {
+    "Hips": ("", (0, 95, 0)),
+    "Spine": ("Hips", (0, 25, 0)),
+    "Neck": ("Spine", (0, 27, 0)),
+    "Head": ("Neck", (0, 12, 0)),
+    "LeftArm": ("Spine", (18, 22, 0)),
+    "LeftForeArm": ("LeftArm", (28, 0, 0)),
+    "LeftHand": ("LeftForeArm", (26, 0, 0)),
+    "RightArm": ("Spine", (-18, 22, 0)),
+    "RightForeArm": ("RightArm", (-28, 0, 0)),
+    "RightHand": ("RightForeArm", (-26, 0, 0)),
+    "LeftUpLeg": ("Hips", (9, -5, 0)),
+    "LeftLeg": ("LeftUpLeg", (0, -42, 0)),
+    "LeftFoot": ("LeftLeg", (0, -42, 0)),
+    "RightUpLeg": ("Hips", (-9, -5, 0)),
+    "RightLeg": ("RightUpLeg", (0, -42, 0)),
+    "RightFoot": ("RightLeg", (0, -42, 0)),
+}
 NUM_BVH_CHANNELS = 6 + 3 * (len(BVH_JOINTS) - 1)
+TWO_JOINTS: Joints = {"Hips": ("", (0, 90, 0)), "Head": ("Hips", (0, 70, 0))}
 
 
-def bvh_hierarchy() -> str:
-    """A centimetre-sized person with MotionBuilder names; feet have End Sites."""
+def bvh_hierarchy(joints: Joints = BVH_JOINTS, rotations: str = "Zrotation Xrotation Yrotation") -> str:
+    """By default a person in centimetres with MotionBuilder's names; feet have tips."""
     lines = ["HIERARCHY"]
 
     def add(name: str, indent: str) -> None:
-        parent, offset = next((parent, offset) for joint, parent, offset in BVH_JOINTS if joint == name)
+        parent, offset = joints[name]
         lines.extend((f"{indent}{'JOINT' if parent else 'ROOT'} {name}", indent + "{"))
-        lines.append(f"{indent}\tOFFSET {offset[0]} {offset[1]} {offset[2]}")
-        places = "" if parent else "Xposition Yposition Zposition "
-        lines.append(f"{indent}\tCHANNELS {3 if parent else 6} {places}Zrotation Xrotation Yrotation")
-        children = [joint for joint, above, _ in BVH_JOINTS if above == name]
+        lines.append(f"{indent}\tOFFSET {' '.join(f'{value:g}' for value in offset)}")
+        lines.append(f"{indent}\tCHANNELS {'3' if parent else '6 Xposition Yposition Zposition'} {rotations}")
+        children = [joint for joint, (above, _) in joints.items() if above == name]
         for child in children:
             add(child, indent + "\t")
         if not children:
@@ -41,20 +46,21 @@ def bvh_hierarchy() -> str:
             lines.extend((f"{indent}\tEnd Site", indent + "\t{", f"{indent}\t\tOFFSET {tip}", indent + "\t}"))
         lines.append(indent + "}")
 
-    add("Hips", "")
+    add(next(iter(joints)), "")
     return "\n".join(lines) + "\n"
 
 
-def bvh_text(rows: list[list[float]] | None = None, frame_time: str = "0.0333333") -> str:
-    """A whole BVH file; by default four frames that walk along +z and bend the left elbow."""
-    if rows is None:
-        rows = []
-        for frame in range(4):
-            row = [0.0] * NUM_BVH_CHANNELS
-            row[1], row[2], row[6 + 3 * 4] = 95.0, 2.0 * frame, 10.0 * frame
-            rows.append(row)
-    body = "\n".join(" ".join(f"{value:g}" for value in row) for row in rows)
-    return f"{bvh_hierarchy()}MOTION\nFrames: {len(rows)}\nFrame Time: {frame_time}\n{body}\n"
+def bvh_text(
+    rows: int | Sequence[str] | Sequence[Sequence[float]] = 4,
+    frame_time: str = "0.0333333",
+    head: str = bvh_hierarchy(),
+) -> str:
+    """A whole BVH file of these frames; of so many that walk along +z and bend the left elbow."""
+    if isinstance(rows, int):
+        rest = [0.0] * (NUM_BVH_CHANNELS - 19)
+        rows = [[0.0, 95.0, 2.0 * frame, *[0.0] * 15, 10.0 * frame, *rest] for frame in range(rows)]
+    lines = [row if isinstance(row, str) else " ".join(f"{value:g}" for value in row) for row in rows]
+    return "\n".join((f"{head}MOTION", f"Frames: {len(rows)}", f"Frame Time: {frame_time}", *lines)) + "\n"
 
 
 ASF = """# a small skeleton
@@ -144,27 +150,11 @@ def lafan1_text(num_frames: int = 80, frame_time: str = "0.033333") -> str:
     # Angles z, y, x that stand the body up: legs hang (a half turn from the spine's direction), toes ahead, arms out.
     pose = {"LeftUpLeg": (180, 0, 0), "RightUpLeg": (180, 0, 0), "LeftFoot": (-90, 0, 0), "RightFoot": (-90, 0, 0)}
     pose |= {"LeftShoulder": (0, -90, 0), "RightShoulder": (0, 90, 0)}
-    lines, order = ["HIERARCHY"], []
-
-    def add(name: str) -> None:
-        parent, offset = offsets[name]
-        order.append(name)
-        lines.extend((f"{'JOINT' if parent else 'ROOT'} {name}", "{", "OFFSET {:.6f} {:.6f} {:.6f}".format(*offset)))
-        places = "" if parent else "Xposition Yposition Zposition "
-        lines.append(f"CHANNELS {3 if parent else 6} {places}Zrotation Yrotation Xrotation")
-        children = [joint for joint, (above, _) in offsets.items() if above == name]
-        for child in children:
-            add(child)
-        lines.extend(() if children else ("End Site", "{", "OFFSET 0.000000 0.000000 0.000000", "}"))
-        lines.append("}")
-
-    add("Hips")
+    head = bvh_hierarchy(offsets, "Zrotation Yrotation Xrotation")
+    below = re.findall(r"JOINT (\w+)", head)
     rows = []
     for frame in range(num_frames):
         # The hips' x axis up, their y axis forward, which turns by 3 degrees a frame from +x.
         row = [-224.689 + 3.0 * frame, 91.882, -431.625 + 2.0 * frame, 90.0, 0.0, 180.0 + 3.0 * frame]
-        for name in order[1:]:
-            row += pose.get(name, (0, 0, 0))
-        rows.append(" ".join(f"{value:.6f}" for value in row))
-    head = "\n".join(lines)
-    return f"{head}\nMOTION\nFrames: {num_frames}\nFrame Time: {frame_time}\n" + "\n".join(rows) + "\n"
+        rows.append([*row, *(angle for name in below for angle in pose.get(name, (0, 0, 0)))])
+    return bvh_text(rows, frame_time, head)

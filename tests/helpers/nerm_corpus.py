@@ -7,17 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.store.cache import PositionCache
 
 
 def analytic_positions(seconds: np.ndarray, kind: int) -> np.ndarray:
     """A swinging, swaying body that walks along Z at 0.5 m/s; float32 [times, 22, 3]."""
-    rest = np.zeros((22, 3))
-    for joint in range(1, 22):
-        rest[joint] = rest[SMPL22.parents[joint]] + SMPL22.offsets[joint]
     phases = np.linspace(0, 3, 22) + kind
     swing = 0.08 * np.sin(2 * np.pi * (0.5 + 0.1 * kind) * seconds[:, None] + phases)
-    positions = np.repeat(rest[None], len(seconds), axis=0)
+    positions = np.repeat(rest_positions(SMPL22)[None].astype(np.float64), len(seconds), axis=0)
     positions[:, :, 0] += swing
     positions[:, :, 2] += 0.5 * swing + 0.5 * seconds[:, None]
     positions[:, :, 1] += 0.9 + 0.03 * np.sin(2 * np.pi * seconds)[:, None]

@@ -13,6 +13,7 @@ from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import humanml3d
 from motionkit.fields.motion_field import to_motion
 from tests.helpers.analytic import ACTIONS, analytic_motion
+from tests.helpers.format_samples import bvh_hierarchy, bvh_text
 
 FPS = Fraction(20)
 NUM_PROMPTS, NUM_REPEATS = 3, 2
@@ -139,21 +140,12 @@ MOMASK_NAMES = (
 def momask_bvh(joints: np.ndarray) -> str:
     """A body of the template's names in metres at 0.050000 s a frame, its root where the joints have theirs."""
     names = dict(zip(MOMASK_ORDER, MOMASK_NAMES, strict=True))
-
-    def lines(joint: int, indent: str) -> list[str]:
-        x, y, z = SMPL22.offsets[joint]
-        kind = "ROOT" if joint == 0 else "JOINT"
-        channels = "6 Xposition Yposition Zposition " if joint == 0 else "3 "
-        inner = indent + "\t"
-        head = [f"{indent}{kind} {names[joint]}", f"{indent}{{", f"{inner}OFFSET {x:f} {y:f} {z:f}"]
-        head.append(f"{inner}CHANNELS {channels}Zrotation Yrotation Xrotation")
-        below = [line for child in SMPL22.children(joint) for line in lines(child, inner)]
-        end = [f"{inner}End Site", f"{inner}{{", f"{inner}\tOFFSET 0.000000 0.000000 0.000000", f"{inner}}}"]
-        return [*head, *(below or end), f"{indent}}}"]
-
-    frames = [" ".join(f"{value:f}" for value in (*root, *([0.0] * 66))) for root in joints[:, 0]]
-    motion = ["MOTION", f"Frames: {len(joints)}", "Frame Time: 0.050000", *frames]
-    return "\n".join(["HIERARCHY", *lines(0, ""), *motion]) + "\n"
+    body = {
+        names[joint]: (names.get(SMPL22.parents[joint], ""), tuple(SMPL22.offsets[joint].tolist()))
+        for joint in MOMASK_ORDER
+    }
+    rows = [[*root.tolist(), *[0.0] * 66] for root in joints[:, 0]]
+    return bvh_text(rows, "0.050000", bvh_hierarchy(body, "Zrotation Yrotation Xrotation"))
 
 
 def write_kit_joints(folder: Path, unit_metres: float | None) -> Path:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from motionkit.cli.app import run as main
+from tests.helpers.format_samples import bvh_text
 from tests.helpers.outcome import Outcome
-from tests.helpers.small_bvh import bvh_text
 from tests.helpers.small_tables import make_tables_small
 
 

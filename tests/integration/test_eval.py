@@ -11,6 +11,7 @@ import pytest
 from eval.report.results import Cell, format_cell
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
 from tests.helpers.outcome import Outcome
@@ -23,13 +24,10 @@ def walk(seed: int, fps: int, seconds: float) -> np.ndarray:
     rng = np.random.default_rng(seed)
     num_frames = int(seconds * fps)
     time = np.arange(num_frames)[:, None, None] / fps
-    rest = np.zeros((22, 3))
-    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
-        rest[joint] = rest[parent] + SMPL22.offsets[joint]
     swing = 0.03 * np.sin(2 * np.pi * rng.uniform(0.5, 2, (22, 3)) * time + rng.uniform(0, 6, (22, 3)))
     path = np.concatenate((rng.normal(size=1), [0.0], rng.normal(size=1)))
     noise = 0.001 * rng.normal(size=(num_frames, 22, 3))
-    return (rest + [0, 0.95, 0] + swing + path * time + noise).astype(np.float32)
+    return (rest_positions(SMPL22) + [0, 0.95, 0] + swing + path * time + noise).astype(np.float32)
 
 
 def motion(index: int, fps: int, split: str) -> Motion:

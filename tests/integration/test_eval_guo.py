@@ -11,6 +11,7 @@ import pytest
 
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store.writer import StoreWriter
 from tests.helpers.published_guo import GuoWidths, write_archive, write_glove
@@ -21,12 +22,9 @@ CLIPS = ("--clips", 64, "--replications", 1, "--sizes", "16:16")
 
 def swaying(seed: int, num_frames: int, fps: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    rest = np.zeros((22, 3))
-    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
-        rest[joint] = rest[parent] + SMPL22.offsets[joint]
     time = np.arange(num_frames)[:, None, None] / fps
     sway = 0.1 * np.sin(2 * np.pi * rng.uniform(0.3, 2, (22, 3)) * time + rng.uniform(0, 6, (22, 3)))
-    return (rest + sway + [0, 0.95, 0]).astype(np.float32)
+    return (rest_positions(SMPL22) + sway + [0, 0.95, 0]).astype(np.float32)
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ import pytest
 
 from eval.tables.nerm import table1
 from motionkit.core.skeleton import KIT21, SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process, standard_bone_lengths
 from motionkit.generate.models import GenerationRequest
@@ -25,13 +26,6 @@ TOKENS = ("a/DET man/NOUN walk/VERB", "a/DET person/NOUN turn/VERB left/ADV", "a
 LIMBS = [joint for joint, name in enumerate(KIT21.joint_names) if name[1:] in ("E", "W", "K", "A", "Mrot", "F")]
 
 
-def standing(layout: Any) -> np.ndarray:
-    rest = np.zeros((layout.num_joints, 3))
-    for joint, parent in enumerate(layout.parents[1:], start=1):
-        rest[joint] = rest[parent] + layout.offsets[joint]
-    return rest
-
-
 def kit_vectors(take: int) -> np.ndarray:
     """The pose vectors of one take in KIT-ML's unit: a body that walks straight on and sways.
 
@@ -39,7 +33,7 @@ def kit_vectors(take: int) -> np.ndarray:
     """
     rng, num_frames = np.random.default_rng(take), 29 + 4 * (take % 5)
     time = np.arange(num_frames)[:, None, None] / float(FPS)
-    body = 1000.0 * standing(KIT21) + np.array([0.0, 560.0, 0.0]) + np.zeros((num_frames, 1, 1))
+    body = 1000.0 * rest_positions(KIT21) + np.array([0.0, 560.0, 0.0]) + np.zeros((num_frames, 1, 1))
     body[:, LIMBS] += 60.0 * np.sin(
         2 * np.pi * rng.uniform(0.2, 1, (len(LIMBS), 3)) * time + rng.uniform(0, 6, (len(LIMBS), 3))
     )
@@ -158,7 +152,7 @@ def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
 
 def walking(times_seconds: np.ndarray, take: int) -> np.ndarray:
     """22 joints that walk straight on."""
-    body = standing(SMPL22) + np.array([0.0, 0.95, 0.0]) + np.zeros((len(times_seconds), 1, 1))
+    body = rest_positions(SMPL22) + np.array([0.0, 0.95, 0.0]) + np.zeros((len(times_seconds), 1, 1))
     body[:, 4:] += 0.02 * np.sin((take + 1) * times_seconds)[:, None, None]
     body[..., 2] += 0.4 * times_seconds[:, None]
     return body.astype(np.float32)

@@ -36,7 +36,7 @@ def test_info_of_a_store(motionkit, store):
         "fps         30 (3)",
         "splits      none (1), test (1), train (1)",
         "captions    2 on 2 sequences",
-        "skeletons   1 with 6 joints",
+        "skeletons   1 with 16 joints",
         "formats     bvh (3)",
     } <= set(lines)
     assert lines[-1] == f"fingerprint {Store.open(store).fingerprint}"

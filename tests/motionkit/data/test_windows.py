@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from motionkit.core.errors import UsageError
 from motionkit.core.mirror import mirror_positions
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.data.windows import FrameValues, WindowPoses, cut_windows, rows_by_duration, shuffled_batches
 from motionkit.features import field
 from motionkit.features.field import FIELD_VECTORS
@@ -21,13 +22,10 @@ PAIRS = SMPL22.left_right_pairs
 def make_source(frames: list[int], rates: list[Fraction], seed: int = 0) -> PositionCache:
     """Random bodies: a rest pose, jittered, walking along a line at 1 m/s."""
     rng = np.random.default_rng(seed)
-    rest = np.zeros((22, 3), dtype=np.float32)
-    for joint in range(1, 22):
-        rest[joint] = rest[SMPL22.parents[joint]] + SMPL22.offsets[joint]
     sequences = []
     for count, fps in zip(frames, rates, strict=True):
         path = np.arange(count)[:, None, None] / float(fps) * np.array([0.6, 0.0, 0.8])
-        sequences.append(rest + path + rng.normal(0, 0.02, (count, 22, 3)) + [3.0, 1.0, -2.0])
+        sequences.append(rest_positions(SMPL22) + path + rng.normal(0, 0.02, (count, 22, 3)) + [3.0, 1.0, -2.0])
     return replace(corpus_in_memory(sequences, rates), sequence_index=np.arange(len(frames), dtype=np.int32) + 10)
 
 

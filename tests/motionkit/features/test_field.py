@@ -5,6 +5,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.features import field
 
 coordinates = st.floats(-5, 5, width=32)
@@ -13,12 +14,9 @@ windows = arrays(np.float32, (2, 3, 22, 3), elements=coordinates)
 
 def standing_bodies(rng: np.random.Generator, num_windows: int, num_poses: int) -> np.ndarray:
     """Bodies with jittered joints, so that facing is well defined, walking away from a random place."""
-    rest = np.zeros((22, 3))
-    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
-        rest[joint] = rest[parent] + SMPL22.offsets[joint]
     jitter = rng.normal(scale=0.03, size=(num_windows, num_poses, 22, 3))
     path = rng.normal(size=(num_windows, 1, 1, 3)) + 0.02 * np.arange(num_poses)[None, :, None, None]
-    return (rest + jitter + path).astype(np.float32)
+    return (rest_positions(SMPL22) + jitter + path).astype(np.float32)
 
 
 def turned(positions: np.ndarray, yaw: float, shift: tuple[float, float]) -> np.ndarray:

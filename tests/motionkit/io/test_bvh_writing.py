@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,16 +21,25 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.edit.complete import CompletionRequest, complete_file
 from motionkit.edit.encoders import choose_encoder
 from motionkit.edit.motions import MotionSource, OutputPaths, find_motions
+from motionkit.fields.completion import begin_completion
 from motionkit.fields.interpolation import INTERPOLATORS
-from motionkit.io.bvh import BvhDocument, anchored_angles, read_bvh, read_document, write_bvh
+from motionkit.fields.motion_field import Observation
+from motionkit.fields.rig import on_bones
+from motionkit.io.bvh import (
+    BvhDocument,
+    KnownFrames,
+    anchored_angles,
+    read_bvh,
+    read_document,
+    rewrite_bvh,
+    write_bvh,
+)
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import parse_rules
 from motionkit.store import Store
 from motionkit.store.ingest import ingest
-from tests.helpers.completed_bvh import write_completed
-from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_hierarchy, bvh_text, lafan1_text
+from tests.helpers.format_samples import NUM_BVH_CHANNELS, TWO_JOINTS, bvh_hierarchy, bvh_text, lafan1_text
 from tests.helpers.refusal import refusal
-from tests.helpers.small_bvh import two_joints_bvh
 from tests.motionkit.io.test_bvh import TAKES, along_z
 
 
@@ -106,10 +116,15 @@ def written(path: Path, text: str) -> Path:
     return path
 
 
-def completed(document: BvhDocument, path: Path, **options: object) -> BvhDocument:
-    observed = document.valid & np.asarray(options.pop("observed", True))
+def completed(document: BvhDocument, path: Path, **options: Any) -> BvhDocument:
+    """The document completed, written with its own lines and channels, and read again."""
+    seconds, frames = document.motion.timegrid.seconds(), np.flatnonzero(document.valid)
+    observation = Observation(seconds[frames], document.poses.rows(frames), document.motion.skeleton)
     fps = options.pop("fps", document.motion.timegrid.fps)
-    write_completed(document, observed, CUBIC, fps, path, **options)
+    made = begin_completion(observation, (seconds[0], seconds[-1]), CUBIC, fps, **options)
+    made = replace(made, field=on_bones(made.field, observation))
+    known = KnownFrames(frames, seconds[frames], made.given_rows, frames[made.given_poses])
+    rewrite_bvh(document, path, made.motion(), known)
     return read_document(path)
 
 
@@ -144,15 +159,14 @@ def test_another_reader_sees_the_same_motion(tmp_path: Path) -> None:
 
 def test_frames_with_nan_are_made_like_a_gap(tmp_path: Path) -> None:
     table = rows()
-    lines = [" ".join(f"{value:g}" for value in row) for row in table]
-    lines[5] = lines[5].replace(lines[5].split()[8], "NaN")
-    text = f"{bvh_hierarchy()}MOTION\nFrames: 12\nFrame Time: 0.0333333\n" + "\n".join(lines) + "\n"
-    document = read_document(written(tmp_path / "in.bvh", text))
+    spoilt = np.array(table)
+    spoilt[5, 8] = np.nan
+    document = read_document(written(tmp_path / "in.bvh", bvh_text(spoilt.tolist())))
     assert document.valid.tolist() == [frame != 5 for frame in range(12)]
     made = completed(document, tmp_path / "out.bvh")
     np.testing.assert_allclose(made.table[5], table[5], atol=1.0)
-    assert b"NaN" not in made.lines[5] and made.lines[4] == document.lines[4]
-    empty = text.replace("\n".join(lines), "\n".join(" ".join(["nan"] * NUM_BVH_CHANNELS) for _ in lines))
+    assert b"nan" not in made.lines[5] and made.lines[4] == document.lines[4]
+    empty = bvh_text([[np.nan] * NUM_BVH_CHANNELS for _ in table])
     assert refusal(read_document, written(tmp_path / "none.bvh", empty)).reason == "nan"
 
 
@@ -185,7 +199,7 @@ def test_a_body_along_z_is_written_along_z(tmp_path: Path, rests_along_z: bool) 
 
 
 def test_quadrupeds_and_props_are_written_too(tmp_path: Path) -> None:
-    text = two_joints_bvh(["0 0 0 0 0 0 0", "1 0 0 30 0 0 10", "2 0 0 60 0 0 20"])
+    text = bvh_text(["0 0 0 0 0 0 0", "1 0 0 30 0 0 10", "2 0 0 60 0 0 20"], "0.01", bvh_hierarchy(TWO_JOINTS))
     text = text.replace("CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS 1 Xrotation")
     made = completed(read_document(written(tmp_path / "in.bvh", text)), tmp_path / "out.bvh", fps=Fraction(200))
     np.testing.assert_allclose(made.table[1], [0.5, 0, 0, 15, 0, 0, 5], atol=1e-5)

@@ -10,9 +10,8 @@ import motionkit as mk
 from motionkit.fields.motion_field import to_motion
 from motionkit.io.registry import writers
 from tests.helpers.analytic import analytic_motion
-from tests.helpers.format_samples import bvh_text as person_bvh
+from tests.helpers.format_samples import bvh_text
 from tests.helpers.refusal import refusal
-from tests.helpers.small_bvh import bvh_text
 
 
 @pytest.fixture
@@ -69,7 +68,7 @@ def test_what_leads_nowhere_or_holds_no_motion(takes: Path, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("unit_metres", [100, 1.0, 1e-4])
 def test_a_unit_that_makes_giants_or_dwarfs_is_refused(tmp_path: Path, unit_metres: float) -> None:
-    (tmp_path / "walk.bvh").write_text(person_bvh())
+    (tmp_path / "walk.bvh").write_text(bvh_text())
     assert mk.read(tmp_path / "walk.bvh", unit_metres=0.02).num_frames == 4  # a giant, on purpose
     assert refusal(mk.read, tmp_path / "walk.bvh", unit_metres=unit_metres).reason == "unit"
     for wrong in ({"fps": "fast"}, {"unit_metres": -1.0}):

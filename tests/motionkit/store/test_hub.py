@@ -22,10 +22,10 @@ from motionkit.store.hub import HubError
 from motionkit.store.life import compact, remove
 from motionkit.training.loop import save_tensors
 from motionkit.training.run import RunFolder
+from tests.helpers.format_samples import bvh_text
 from tests.helpers.hub import Hub, local_hub
 from tests.helpers.pages import run_page
 from tests.helpers.repository import REPOSITORY
-from tests.helpers.small_bvh import bvh_text
 
 pytest.importorskip("huggingface_hub", reason="needs the extra motionkit[hub]")
 PAGE = REPOSITORY / "docs" / "howto" / "hub.md"

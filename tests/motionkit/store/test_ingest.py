@@ -12,7 +12,9 @@ from motionkit.store import Store
 from motionkit.store import ingest as module
 from motionkit.store.ingest import body_size_warning, ingest
 from motionkit.store.workers import check_engine, start_workers
-from tests.helpers.small_bvh import two_joints_bvh
+from tests.helpers.format_samples import TWO_JOINTS, bvh_hierarchy, bvh_text
+
+HEAD = bvh_hierarchy(TWO_JOINTS)
 
 
 def folder_of(tmp_path: Path, lengths: list[int]) -> Path:
@@ -21,7 +23,7 @@ def folder_of(tmp_path: Path, lengths: list[int]) -> Path:
     folder.mkdir()
     for number, length in enumerate(lengths):
         rows = [f"{frame} 90 0 0 0 {frame / 7:.6f} 0 {frame} 0" for frame in range(length)]
-        (folder / f"{number}.bvh").write_text(two_joints_bvh(rows))
+        (folder / f"{number}.bvh").write_text(bvh_text(rows, "0.01", HEAD))
     return folder
 
 
@@ -135,7 +137,7 @@ def test_the_store_does_not_depend_on_the_engine(tmp_path: Path, monkeypatch: py
     folder.mkdir()
     for number in range(70):
         rows = [f"{frame} 90 0 {number} 0 {frame / 7:.6f} 0 {frame} 0" for frame in range(1, 20 + 9 * number)]
-        text = two_joints_bvh(rows)
+        text = bvh_text(rows, "0.01", HEAD)
         (folder / f"walk-{number:02d}.bvh").write_text(text if number % 20 != 13 else text[:-200])
     monkeypatch.setattr(module, "CHUNK_BYTES", 2**16)
     reports = {
