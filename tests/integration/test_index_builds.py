@@ -64,19 +64,6 @@ def test_clips_at_their_native_framerates(motionkit, amass, humanml3d, tmp_path)
     assert motionkit("validate", "--store", tmp_path / "s").code == 0
 
 
-def test_the_published_frames_instead(motionkit, amass, humanml3d, tmp_path):
-    motionkit(
-        "ingest", amass, "--index", humanml3d / "index.csv", "--compat", "humanml3d-20fps", "--store", tmp_path / "s",
-        "--workers", 1,
-    )  # fmt: skip
-    store = Store.open(tmp_path / "s")
-    steps = {"000000": 5, "000001": 1, "000002": 6, "000003": 6, "000004": 7, "009707": 3, "000005": 12}
-    for name, step in steps.items():
-        start, stop = WINDOWS[name]
-        assert frame_numbers(store, f"humanml3d-20fps/{name}") == list(range(start, stop, step)), name
-        assert store.read(f"humanml3d-20fps/{name}").fps == 20
-
-
 def test_what_is_missing_is_counted_by_dataset(motionkit, amass, humanml3d, tmp_path):
     shutil.rmtree(amass / "CMU")
     with (humanml3d / "index.csv").open("a") as file:

@@ -5,18 +5,17 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.trust.scenarios import SETTINGS
 from motionkit.generate.models import installed_models
 from motionkit.training.run import RunFolder
 from tests.helpers.tiny_peers import write_captioned_store
 
 # Of every system's settings those that it has.
 TINY = (
-    *("schedule.steps=3", "schedule.batch_size=4", "conditions.kind=action", "network.transformer.width=32"),
-    *("motions.max_frames=130", "motions.min_seconds=1", "motions.mirrored=false", "network.transformer.inner=32"),
+    *("conditions.kind=action", "network.transformer.width=32", "network.transformer.inner=32"),
+    *("motions.max_frames=130", "motions.min_seconds=1", "motions.mirrored=false"),
     *("network.diffusion.num_steps=4", "network.diffusion.sampling_steps=4"),
-    *("codebook.schedule.steps=3", "codebook.schedule.batch_size=4", "codebook.network.width=16"),
-    *("field.schedule.steps=3", "field.schedule.batch_size=8", "field.contact_steps=4", "field.decoder.width=32"),
-    *("denoiser.schedule.steps=3", "denoiser.schedule.batch_size=8", "denoiser.conditions.text_encoder=none"),
+    *("schedule.steps=3", "schedule.batch_size=4", *SETTINGS["codebook"].split()),
 )
 
 

@@ -18,11 +18,9 @@ from motionkit.fields.motion_field import to_motion
 from motionkit.io.bvh import read_bvh, write_bvh
 from motionkit.io.humanml3d import Entry
 from motionkit.io.npz import write_npz
-from motionkit.io.registry import ReadOptions
-from motionkit.io.scan import read, scan
 from motionkit.store import StoreWriter
 from tests.helpers.analytic import analytic_motion
-from tests.helpers.every_format import SOURCES, write_pose_folder
+from tests.helpers.every_format import write_pose_folder
 from tests.helpers.outcome import Outcome
 from tests.helpers.packed import unpack
 
@@ -89,20 +87,6 @@ def test_many_kinds_side_by_side_each_on_its_own_frames(motionkit: Run, motion: 
         np.testing.assert_allclose(unpack(take["positions"]), motion.joint_positions, atol=HALF_STEP)
         assert take["captions"] == [["a person walks", 0.0, 1.0], ["on", 0.0, None]] and "walk" in take["labels"]
     np.testing.assert_allclose(unpack(of_vectors["positions"]), humanml3d.positions(vectors, "smpl22"), atol=1e-4)
-
-
-@pytest.mark.parametrize("kind", SOURCES)
-def test_every_format(motionkit: Run, kind: str, here: Path) -> None:
-    (here / "source").mkdir()
-    path = SOURCES[kind](here / "source")
-    states_none = kind in ("asfamc", "joints-npy")
-    (take,) = takes_of(motionkit("view", path, *(["--fps", "60"] if states_none else [])))
-    (item,) = scan([path.parent.parent if kind in ("humanml3d", "kit") else path], ReadOptions()).items
-    motion = read(item, ReadOptions(fps=Fraction(60) if states_none else None))
-    np.testing.assert_allclose(unpack(take["positions"]), motion.joint_positions, atol=HALF_STEP)
-    assert Fraction(*take["fps"]) == motion.fps and [each[0] for each in take["captions"]] == [
-        each.text for each in motion.captions
-    ]
 
 
 def test_folders_one_bad_file_costs_nothing_of_the_others(motionkit: Run, motion: Motion) -> None:

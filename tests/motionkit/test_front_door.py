@@ -32,11 +32,7 @@ LIGHT = {
     "help": (APP.format(["--help"]), "Usage", f"numpy {MOST}"),
     "help of train": (APP.format(["train", "--help"]), "--overwrite", f"numpy {MOST}"),
     "what is installed": (f"{INSTALLED}print(*names('STAGES'), *names('TABLES'), *installed_models())", "nerm-2", MOST),
-    "a summary": (
-        APP.format(["info", "--store", "store", "--json"]),
-        '"num_sequences": 1',
-        "jaxtyping pandas torch scipy",
-    ),
+    "a summary": (APP.format(["info", "store", "--json"]), '"num_sequences": 1', "jaxtyping pandas torch scipy"),
     "an ingest by one worker": (
         f"{INGEST}print(ingest([Path('takes')], Path('new'), num_workers=1).num_in_store)",
         "1",
@@ -71,8 +67,8 @@ FUNCTIONS = "import motionkit as mk; print(callable(mk.generate), callable(mk.re
     "script",
     [
         f"import motionkit.generate.output; {FUNCTIONS}",
-        f"{FUNCTIONS}; from motionkit.generate import output; from motionkit.fields.resample import resample; {FUNCTIONS}",
-        "import eval.clip_fid.score; from eval import clip_fid; from eval.clip_fid import score; print(callable(clip_fid))",
+        f"from motionkit.generate import output; from motionkit.fields.resample import resample; {FUNCTIONS}",
+        "import eval.clip_fid.score; from eval import clip_fid; print(callable(clip_fid))",
         "from motionkit import *; print(Motion.__name__ == 'Motion', callable(read))",
     ],
 )
