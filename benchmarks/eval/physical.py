@@ -18,8 +18,18 @@ import numpy as np
 
 from eval.metrics.metric import Metric
 from eval.metrics.number import Resampling, half_width
-from eval.report.render import to_markdown
-from eval.report.results import Block, Cell, Measure, Result, Row, cell_of, measure, provenance, write_result
+from eval.report.results import (
+    Block,
+    Cell,
+    Measure,
+    Result,
+    Row,
+    cell_of,
+    measure,
+    provenance,
+    to_markdown,
+    write_result,
+)
 from eval.sets.motions import RealMotion, real_motion, upsampled
 from eval.sets.sets import SampleSet
 from eval.tables.physical import OURS, PER_FRAME, TABLE, Measured, floors_of, measured

@@ -29,8 +29,7 @@ import motionkit as mk
 from benchmarks.trust.crash import Case, Drill, Report, content_of, copy
 from benchmarks.trust.mutate import flip, mutate
 from eval.native_evaluator.evaluator import load_evaluator
-from eval.report.render import to_markdown
-from eval.report.results import ResultError, environment, find_results
+from eval.report.results import ResultError, environment, find_results, to_markdown
 from eval.sample_folder import SampleOptions, read_sample_folder
 from motionkit.core.errors import MotionkitError, StoreError
 from motionkit.core.skeletons.mapping import read_skeleton_map
@@ -251,10 +250,10 @@ def use_stage(stage: str) -> Callable[[Path], object]:
 
 def use_results(folder: Path) -> object:
     """All results, rendered."""
-    found = find_results(folder / "results")
-    if found.faults:
-        raise ResultError(found.faults[0])
-    return [to_markdown(result) for result in found.results]
+    results, faults = find_results(folder / "results")
+    if faults:
+        raise ResultError(faults[0])
+    return [to_markdown(result) for result in results]
 
 
 def use_files(folder: Path) -> object:

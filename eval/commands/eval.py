@@ -227,8 +227,7 @@ def named_samples(pairs: list[str], run: Path | None = None) -> dict[str, Path]:
 
 def _build(config: "EvalConfig", table: "Table", as_json: bool) -> "Result":
     """Build a table, write it, and print it unless `as_json`."""
-    from eval.report.render import to_markdown
-    from eval.report.results import write_result
+    from eval.report.results import to_markdown, write_result
     from motionkit.cli.console import print_table
 
     if config.samples and not table.takes_samples:

@@ -44,18 +44,13 @@ def report(
 
     Example: motionkit report --store store --run nano
     """
-    from eval.report.render import to_csv, to_latex, to_markdown
-    from eval.report.results import ResultError, find_results
+    from eval.report.results import ResultError, find_results, to_csv, to_latex, to_markdown
 
     folder = results or default_path("results")
-    there = find_results(folder)
-    for fault in there.faults:
+    found, faults = find_results(folder)
+    for fault in faults:
         stderr.print(f"left out: {fault}")
-    if there.others:
-        names = ", ".join(path.name for path in there.others)
-        stderr.print(f"skipped, not results: {names}")
-    found = list(there.results)
-    if not found and not there.faults and not run:
+    if not found and not faults and not run:
         raise UsageError(f"there is no result in {str(folder)!r}: motionkit eval --table 2 makes one")
     printers = {"markdown": to_markdown, "latex": to_latex, "csv": to_csv}
     if as_json:
@@ -75,14 +70,14 @@ def report(
                 print(save(figure, (out or folder) / f"{result.task}.png"))
     else:
         raise UsageError(f"there is no format {format!r}: html, png, {', '.join(printers)}")
-    if there.faults:
-        count = len(there.faults)
-        raise ResultError(f"{count} of {count + len(found)} results in {str(folder)!r} could not be read (see above)")
+    if faults:
+        total = len(faults) + len(found)
+        raise ResultError(f"{len(faults)} of {total} results in {str(folder)!r} could not be read (see above)")
 
 
 def _page(results: "list[Result]", store: Path | None, runs: list[Path]) -> str:
     from eval.report.curves import figure_of, run_card
-    from eval.report.render import to_html
+    from eval.report.results import to_html
     from motionkit.store import Store
     from motionkit.store.reports import summarise
     from motionkit.viz.corpus_card import corpus_card

@@ -11,8 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.report.render import card
-from eval.report.results import Block, Result
+from eval.report.results import Block, Result, card
 from motionkit.core.files import whole_file
 from motionkit.training.run import RunError, RunFolder
 

@@ -1,34 +1,39 @@
-"""Results: one JSON file per table, with every number's definition and provenance, and the differences of its rows."""
+"""Results: one JSON file per table with the provenance of its numbers, differences of rows, and renderings."""
 
-import json
+import base64
+import csv
+import io
 import math
 import os
 import re
 import shlex
 import sys
-from collections.abc import Collection, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from html import escape
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 from eval.metrics.metric import Metric
 from eval.metrics.number import Number
 from eval.metrics.registry import find_metric
 from eval.sets.sets import RowId
-from motionkit.core.errors import MotionkitError, shown
+from motionkit.core.errors import MotionkitError, UsageError, describe, shown
 from motionkit.core.files import read_json, write_json
 from motionkit.store.commit import read_manifest
+from motionkit.training.config import from_plain
 from motionkit.training.run import RunFolder, commit, versions
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+    from matplotlib.figure import Figure
 
 FORMAT = "motionkit-result/1"
 SIGNIFICANT_DIGITS, MAX_DECIMALS = 3, 6
 # The name of a result's or figure's file, without a folder.
 _FILE_NAME = re.compile(r"\w[\w.+-]*", re.ASCII)
-FORMAT_OF_ANY_VERSION = FORMAT.rpartition("/")[0] + "/"
 HINT = "run the evaluation again, or restore the file from a copy"
 Origin = Literal["ours", "reference", "paper"]
 DIFFERENCES = ": differences between rows"
@@ -343,83 +348,187 @@ def read_result(path: Path | str) -> Result:
         document = read_json(Path(path), HINT)
         if (found := document.pop("format", None)) != FORMAT:
             raise ValueError(f"not a result of format {FORMAT} (found {shown(found)})")
-        texts = {key: _texts(document.pop(key)) for key in ("notes", "missing")}
-        result = Result(**document | texts | {"blocks": tuple(map(_block, document["blocks"]))})
-        _require(str, result.task, result.version, result.title, result.caption, result.figure)
-        _require(dict, result.definition, result.provenance)
-        for name in (result.task, result.figure or result.task):
-            if not _FILE_NAME.fullmatch(name):
-                raise ValueError(f"{shown(name)} where a file's name was expected")
-        return result
-    except (AttributeError, KeyError, TypeError, ValueError, OSError) as error:
-        raise ResultError(f"{path}: cannot be read as a result: {error!r}; run the evaluation again") from None
+        result = from_plain(Result, document)
+    except (UsageError, OverflowError, TypeError, ValueError, OSError) as error:
+        raise ResultError(f"{path}: cannot be read as a result: {error}; run the evaluation again") from None
+    for name in (result.task, result.figure or result.task):
+        if not _FILE_NAME.fullmatch(name):
+            raise ResultError(f"{path}: {shown(name)} where a file's name was expected; run the evaluation again")
+    return result
 
 
-@dataclass(frozen=True)
-class FoundResults:
-    """Contents of a folder: results by task, why other results could not be read, and other JSON files."""
-
-    results: tuple[Result, ...] = ()
-    faults: tuple[str, ...] = ()
-    others: tuple[Path, ...] = ()
-
-
-def find_results(folder: Path) -> FoundResults:
-    """Read every result in a folder; a file that is not valid JSON counts as an unreadable result."""
-    results, faults, others = [], [], []
+def find_results(folder: Path) -> tuple[list[Result], list[str]]:
+    """Every result in a folder, and why others cannot be read; JSON files of another kind are left out."""
+    results, faults = [], []
     for path in sorted(folder.glob("*.json")):
         try:
-            with suppress(ValueError, RecursionError):
-                document = json.loads(path.read_bytes())
-                kind = document.get("format") if isinstance(document, dict) else None
-                if not str(kind).startswith(FORMAT_OF_ANY_VERSION):
-                    others.append(path)
-                    continue
-            results.append(read_result(path))
+            if str(read_json(path, HINT).get("format")).startswith("motionkit-result/"):
+                results.append(read_result(path))
         except (MotionkitError, OSError) as error:
-            faults.append(str(error))
-    return FoundResults(tuple(results), tuple(faults), tuple(others))
+            faults.append(describe(error))
+    return results, faults
 
 
-def _block(document: dict[str, Any]) -> Block:
-    rows = tuple(map(_row, document["rows"]))
-    # Older results, which our pages show, declare no metrics, and name what is compared in a block's title alone.
-    metrics = tuple(Measure(**each) for each in document.get("metrics", ()))
-    compared, ending, _ = document["title"].rpartition(DIFFERENCES)
-    known = {"differences_of": compared if ending else "", **document}
-    block = Block(**known | {"rows": rows, "columns": _texts(document["columns"]), "metrics": metrics})
-    for each in metrics:
-        _require(str, *(value for name, value in vars(each).items() if name != "version"))
-    _require(str, block.title, block.note, block.differences_of)
-    _require(dict, block.provenance)
-    _require(bool, block.lower_is_better)
-    return block
+# What LaTeX's text mode reads as a command, or does not know.
+LATEX = str.maketrans(
+    {
+        **{character: f"\\{character}" for character in "&%$#_{}"},
+        **{"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "–": "--"},
+        **{"<": "$<$", ">": "$>$", "|": "$|$", "−": "$-$", "±": r"$\pm$", "×": r"$\times$", "÷": r"$\div$"},
+        **{"≤": r"$\leq$", "≥": r"$\geq$", "∞": r"$\infty$", "↑": r"$\uparrow$", "↓": r"$\downarrow$"},
+        **{"→": r"$\rightarrow$", "λ": r"$\lambda$", "μ": r"$\mu$", "σ": r"$\sigma$", "ζ": r"$\zeta$"},
+        **{"θ": r"$\theta$", "Δ": r"$\Delta$", "²": "$^2$", "³": "$^3$", "…": r"\dots{}"},
+    }
+)
 
 
-def _row(document: dict[str, Any]) -> Row:
-    row = Row(**{**document, "cells": {column: parse_cell(cell) for column, cell in document["cells"].items()}})
-    _require(str, row.name, row.note, row.origin)
-    if row.origin not in get_args(Origin):
-        raise ValueError(f"{row.origin[:40]!r}, expected one of {', '.join(get_args(Origin))}")
-    return row
+def to_markdown(result: Result) -> str:
+    """The whole result as Markdown."""
+    found = [f"# {result.title}", result.caption]
+    found += [f"![{result.title}]({result.figure})"] if result.figure else []
+    for block in result.blocks:
+        found += [f"## {block.title}", _markdown_table(block.columns, block.texts())]
+        measures = dict.fromkeys(map(format_measure, block.metrics))
+        notes = [f"- {row.name}: {row.note}" for row in block.rows if row.note]
+        found += filter(None, [block.note, ". ".join(measures) + "." if measures else "", "\n".join(notes)])
+        details = detail_tables(block)
+        found += ["<details><summary>Further metrics</summary>"] if details else []
+        for table in details:
+            numbers = [
+                (row.name, [format_number(values[column]) if column in values else "–" for column in table["columns"]])
+                for row, values in table["rows"]
+            ]
+            found += [table["name"], _markdown_table(table["columns"], numbers)]
+        found += ["</details>"] if details else []
+    for heading, lines in (("Not in this table:", result.missing), ("Notes:", result.notes)):
+        found += [heading, "\n".join(f"- {line}" for line in lines)] if lines else []
+    return "\n\n".join([*found, f"{result.task}, version {result.version}."]) + "\n"
 
 
-def parse_cell(document: dict[str, Any]) -> Cell:
-    """A cell from JSON; raises `TypeError`, `ValueError` or `AttributeError` for anything but finite numbers."""
-    cell = Cell(**document)
-    for value in (cell.value, *([] if cell.ci95 is None else [cell.ci95]), *cell.details.values()):
-        if type(value) not in (int, float) or abs(value) > sys.float_info.max:
-            raise ValueError(f"{str(value)[:40]} where a finite number was expected")
-    return cell
+def _markdown_table(columns: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> str:
+    def line(name: str, texts: Iterable[str]) -> str:
+        return f"| {name} |{''.join(f' {text} |' for text in texts)}"
+
+    head = [line("", (column.replace("|", "\\|") for column in columns)).replace("|  |", "| |", 1)]
+    head.append("|---|" + "---|" * len(columns))
+    return "\n".join([*head, *(line(name.replace("|", "\\|"), texts) for name, texts in rows)])
 
 
-def _texts(values: list[str]) -> tuple[str, ...]:
-    _require(list, values)
-    _require(str, *values)
-    return tuple(values)
+def to_latex(result: Result) -> str:
+    """One LaTeX table per block (booktabs)."""
+    lines = [f"% {_tex(result.title)} ({result.task}, version {result.version})"]
+    for block in result.blocks:
+        lines += [
+            r"\begin{table}",
+            rf"\caption{{{_tex(result.caption)} {_tex(block.title)}.}}",
+            rf"\begin{{tabular}}{{l{'r' * len(block.columns)}}}",
+            r"\toprule",
+            rf" & {' & '.join(map(_tex, block.columns))} \\",
+            r"\midrule",
+            *(rf"{' & '.join(map(_tex, (name, *texts)))} \\" for name, texts in block.texts()),
+            *(r"\bottomrule", r"\end{tabular}", r"\end{table}"),
+        ]
+    return "\n".join(lines) + "\n"
 
 
-def _require(kind: type, *values: object) -> None:
-    for value in values:
-        if not isinstance(value, kind):
-            raise TypeError(f"{str(value)[:40]!r} where a {kind.__name__} was expected")
+def _tex(text: str) -> str:
+    return text.translate(LATEX)
+
+
+def to_html(
+    results: Sequence[Result],
+    title: str = "motionkit results",
+    cards: Sequence[str] = (),
+    figures: Mapping[int, "Figure"] = {},
+) -> str:
+    """All results as one self-contained page.
+
+    `cards` are articles, as HTML, in front; `figures` are placed in the results with these indices.
+    """
+    page = _environment().get_template("report.html.j2")
+    return page.render(results=results, title=title, cards=cards, figures=figures)
+
+
+def card(template: str, **values: Any) -> str:
+    """An article in front of a page's results, from a template of this folder."""
+    return _environment().get_template(template).render(values)
+
+
+def picture(figure: "Figure") -> str:
+    """A figure as PNG in a data URI."""
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=110)
+    return f"data:image/png;base64,{base64.b64encode(drawn.getvalue()).decode()}"
+
+
+def origin_line(result: Result) -> str:
+    """The command, commit and store that a result comes from, as far as known."""
+    environment = result.provenance.get("environment", {})
+    store = result.provenance.get("store", {}).get("fingerprint", "")
+    facts = {
+        "by": environment.get("command"),
+        "at commit": (environment.get("commit") or "")[:12],
+        "from the store with fingerprint": store[:12],
+        "on": (environment.get("time") or "")[:10],
+    }
+    return ", ".join(f"{what} {value}" for what, value in facts.items() if value)
+
+
+def to_csv(result: Result) -> str:
+    """One line per number: block, row, origin, column, metric, value, half width of its 95 % interval."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("task", "version", "block", "row", "origin", "column", "metric", "value", "ci95"))
+    for block in result.blocks:
+        for row in block.rows:
+            for column, cell in row.cells.items():
+                place = (result.task, result.version, block.title, row.name, row.origin, column)
+                writer.writerow((*place, "value", repr(cell.value), "" if cell.ci95 is None else repr(cell.ci95)))
+                writer.writerows((*place, name, repr(value), "") for name, value in cell.details.items())
+    return text.getvalue()
+
+
+def format_measure(measure: Measure) -> str:
+    """A metric's unit, direction, source and calibration in one line."""
+    unit = f" in {measure.unit}" if measure.unit else ""
+    better = "best as real motion has it" if measure.better == "as real" else f"{measure.better} is better"
+    calibration = f"; calibration: {measure.calibration}" if measure.calibration else ""
+    return f"{measure.title}{unit}: {better} ({measure.source}{calibration})"
+
+
+def detail_tables(block: Block) -> list[dict[str, Any]]:
+    """Each further metric of a block's own rows: its name, columns, and rows with their values by column."""
+    own = [row for row in block.rows if row.origin != "paper"]
+    tables = []
+    for name in dict.fromkeys(name for row in own for cell in row.cells.values() for name in cell.details):
+        every = (
+            (row, {key: cell.details[name] for key, cell in row.cells.items() if name in cell.details}) for row in own
+        )
+        rows = [(row, values) for row, values in every if values]
+        columns = [column for column in block.columns if any(column in values for _, values in rows)]
+        tables.append({"name": name, "columns": columns, "rows": rows})
+    return tables
+
+
+def _environment() -> "Environment":
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("eval.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    filters: Mapping[str, Callable[..., object]] = {
+        "cell": format_cell,
+        "number": format_number,
+        "details": detail_tables,
+        "measure": format_measure,
+        "best": best_in_column,
+        "picture": picture,
+        "origin": origin_line,
+    }
+    environment.filters.update(filters)
+    return environment

@@ -1,6 +1,7 @@
 """Configurations as nested frozen dataclasses: conversion to and from plain values, and `a.b=c` overrides.
 
-Field types may be bool, int, float, str, `Literal`, `T | None`, `tuple[T, ...]` and further dataclasses.
+Field types may be bool, int, float, str, `Literal`, `T | None`, `tuple[T, ...]` and further dataclasses; in plain
+values also `int | float`, `Mapping[str, T]` and `Any`.
 """
 
 import dataclasses
@@ -175,6 +176,10 @@ def _converted(value: Any, annotation: Any, key: str) -> Any:
     """A JSON value, or an override's text, as the annotated type; raises `UsageError` that names key and type."""
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     text = value if isinstance(value, str) else None
+    if annotation is Any or (type(value) in (int, float) and type(value) in arguments):
+        return value
+    if origin is Mapping and isinstance(value, dict):
+        return {name: _converted(item, arguments[1], f"{key}.{name}") for name, item in value.items()}
     if origin in (typing.Union, types.UnionType):
         kind = next(argument for argument in arguments if argument is not types.NoneType)
         is_none = value is None or (text is not None and text.lower() in ("none", "null", ""))
@@ -204,7 +209,7 @@ def _described(annotation: Any) -> str:
     if origin is tuple:
         return f"a list of {_described(arguments[0])}"
     names = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
-    return names.get(annotation) or f"a table of {annotation.__name__}"
+    return names.get(annotation) or f"a table of {getattr(annotation, '__name__', 'values')}"
 
 
 NoiseSchedule = Literal["scaled_linear", "cosine"]

@@ -22,7 +22,7 @@ def test_both_are_importable(tmp_path: Path) -> None:
         "import eval.metrics.distributions, eval.clip_fid.score\n"
         "from eval.commands.eval import evaluate\n"
         "from eval.tables.table import reported_figures\n"
-        "from eval.report.render import to_html\n"
+        "from eval.report.results import to_html\n"
         "assert len(reported_figures('nerm', '2')) == 20 and to_html([])\n"
         "print(eval.eval_humanml.WHERE, eval.a2m.tools.WHERE, eval.metrics.distributions.__name__)\n"
     )

@@ -10,8 +10,7 @@ from typer.testing import CliRunner
 
 from eval.clip_fid.score import Protocol
 from eval.commands.ablate import ablate
-from eval.report.render import to_markdown
-from eval.report.results import Block, Result, Row
+from eval.report.results import Block, Result, Row, to_markdown
 from eval.tables.nerm import figures
 from eval.tables.nerm.ablations import TABLES
 from eval.tables.table import EvalConfig

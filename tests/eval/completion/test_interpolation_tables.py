@@ -20,7 +20,7 @@ from eval.completion.interpolation import (
     scale_label,
 )
 from eval.completion.scores import mean_over_takes
-from eval.report.render import to_markdown
+from eval.report.results import to_markdown
 from eval.tables import pahires
 from eval.tables.pahires import TABLE_1, TABLE_2, TABLE_EXTRAPOLATION
 from eval.tables.pahires import TABLE_3 as INBETWEENING

@@ -16,8 +16,7 @@ from eval.report.curves import (
     stages_of,
     training_figure,
 )
-from eval.report.render import origin_line
-from eval.report.results import Block, Cell, Result, Row, environment
+from eval.report.results import Block, Cell, Result, Row, environment, origin_line
 from motionkit.core.files import write_json
 from motionkit.training.run import RunError, RunFolder
 

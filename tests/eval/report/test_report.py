@@ -11,7 +11,6 @@ import pytest
 
 from eval.commands.report import report
 from eval.metrics.number import Number, over_replications
-from eval.report.render import to_csv, to_html, to_latex, to_markdown
 from eval.report.results import (
     Block,
     Cell,
@@ -27,6 +26,10 @@ from eval.report.results import (
     read_result,
     said,
     score_differences,
+    to_csv,
+    to_html,
+    to_latex,
+    to_markdown,
     write_result,
 )
 from eval.sets.sets import RowId, Variant
@@ -59,38 +62,35 @@ def result() -> Result:
 def test_a_result_survives_its_file(result: Result, tmp_path: Path) -> None:
     path = write_result(result, tmp_path)
     assert read_result(path) == result
-    (tmp_path / "other.json").write_text("[1, 2]")
     (tmp_path / "else.json").write_text('{"format": "something"}')
-    found = find_results(tmp_path)
-    assert (found.results, found.faults) == ((result,), ())
-    assert [path.name for path in found.others] == ["else.json", "other.json"]
+    assert find_results(tmp_path) == ([result], [])
 
 
+@pytest.mark.parametrize(
+    ("change", "about"),
+    [
+        ({"title": None}, "title"),
+        ({"format": "motionkit-result/9"}, "motionkit-result/9"),
+        ({"task": "../mine"}, "file's name"),
+        ({"figure": "/tmp/mine"}, "file's name"),
+    ],
+)
 def test_files_that_are_no_results_are_refused(
-    result: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    change: dict[str, object], about: str, result: Result, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = write_result(result, tmp_path)
-    whole = json.loads(path.read_text())
-    document = dict(whole)
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(ResultError, match=about):
+        read_result(path)
+    with pytest.raises(ResultError, match="1 of 1"):
+        report(tmp_path)
+    assert about in capsys.readouterr().err.replace("\n", "")
     path.write_text("{")
     with pytest.raises(DamagedFileError, match=r"nerm-table2\.json"):
         read_result(path)
-    del document["title"]
-    path.write_text(json.dumps(document))
-    with pytest.raises(ResultError, match="title"):
-        read_result(path)
-    path.write_text(json.dumps(document | {"format": "motionkit-result/9"}))
-    (tmp_path / "mine.json").write_text('{"mine": 1}')
-    with pytest.raises(ResultError, match="motionkit-result/9"):
-        read_result(path)
-    with pytest.raises(ResultError, match="1 of 1 results"):
-        report(tmp_path)
-    message = capsys.readouterr().err.replace("\n", "")
-    assert "motionkit-result/9" in message and "skipped, not results: mine.json" in message
-    for key, name in (("task", "../mine"), ("figure", "/tmp/mine")):
-        path.write_text(json.dumps(whole | {key: name}))
-        with pytest.raises(ResultError, match="where a file's name was expected"):
-            read_result(path)
+
+
+def test_a_result_has_no_nan(result: Result, tmp_path: Path) -> None:
     row = Row("nan", "ours", {"20 fps": Cell(float("nan"))})
     with pytest.raises(ValueError, match="JSON compliant"):
         write_result(replace(result, blocks=(Block("b", ("20 fps",), (row,)),)), tmp_path)
@@ -116,10 +116,10 @@ def test_a_value_of_another_type_anywhere_is_shown_or_refused(value: object, res
             within = within[key]
         within[last] = value
         path.write_text(json.dumps(document))
-        found = find_results(tmp_path)
-        for each in found.results:
+        found, faults = find_results(tmp_path)
+        for each in found:
             assert to_markdown(each) + to_latex(each) + to_csv(each) + to_html([each])
-        refused += len(found.faults)
+        refused += len(faults)
     assert refused > 20
 
 

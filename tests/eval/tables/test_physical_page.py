@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from eval.report.render import to_markdown
-from eval.report.results import read_result
+from eval.report.results import read_result, to_markdown
 
 RESULTS = Path(__file__).parents[3] / "docs" / "results"
 

@@ -10,8 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from eval.report.render import to_latex, to_markdown
-from eval.report.results import Result, read_result, write_result
+from eval.report.results import Result, read_result, to_latex, to_markdown, write_result
 from eval.sets.motions import NoRealMotionError
 from eval.sets.sets import SampleSet
 from eval.tables.nerm import table1

@@ -12,8 +12,7 @@ import torch
 
 from eval.actions.published import StgcnNetwork
 from eval.actions.sets import with_rotations
-from eval.report.render import to_markdown
-from eval.report.results import Result, read_result, write_result
+from eval.report.results import Result, read_result, to_markdown, write_result
 from eval.sets.sets import sample_set
 from eval.tables.nerm import table3
 from eval.text_motion.guo import GuoFiles
