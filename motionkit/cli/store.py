@@ -75,6 +75,10 @@ def split(
         typer.Option(metavar="SQL", help="Only sequences for which this holds; the others stay where they are."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Who is held out follows from it.")] = 0,
+    unseen_wordings: Annotated[
+        bool,
+        typer.Option("--unseen-wordings", help="Remove captions of train whose words are said in val or test too."),
+    ] = False,
     store: ChangedStore = None,
     dry_run: DryRun = False,
     as_json: AsJson = False,
@@ -91,7 +95,9 @@ def split(
 
     store = named_store(path, store)
     place, requested = store or default_path("store"), parse_shares(shares)
-    report = split_store(place, requested, by=by or [PERFORMER], where=where, seed=seed, dry_run=dry_run)
+    report = split_store(
+        place, requested, by=by or [PERFORMER], where=where, seed=seed, unseen_wordings=unseen_wordings, dry_run=dry_run
+    )
     if as_json:
         print_json({**asdict(report), "store": str(report.store), "seed": seed, "dry_run": dry_run})
         return
@@ -106,6 +112,9 @@ def split(
         )
     doing = "would change" if dry_run else "changed"
     stdout.print(f"{doing} the split of {report.num_changed:,} sequences of {report.store}, by {report.by}")
+    if unseen_wordings:
+        doing = "would remove" if dry_run else "removed"
+        stdout.print(f"{doing} {report.num_captions_removed:,} captions of train whose words val or test has")
     if not dry_run:
         stdout.print(f"next: motionkit train{of_default('--store', store)}")
 

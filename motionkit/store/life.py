@@ -36,8 +36,48 @@ SPLITS = tuple(DEFAULT_SHARES)
 # A subject's number means something inside its own source alone: one data set's 01 is not another's. The subset is left
 # out, since it may be no more than a folder: the same person's takes as AMC and as BVH.
 PERFORMER = "performer"
-# The words of a caption, whatever their case and punctuation; a sequence has those of all its captions.
+# The content words of a caption; a sequence has those of all its captions.
 WORDING = "wording"
+# Words that a paraphrase adds, drops or exchanges.
+FUNCTION_WORDS = frozenset(
+    [
+        "a",
+        "an",
+        "and",
+        "the",
+        "is",
+        "are",
+        "in",
+        "with",
+        "person",
+        "human",
+        "being",
+        "figure",
+        "someone",
+        "subject",
+        "man",
+        "woman",
+        "boy",
+        "girl",
+        "he",
+        "she",
+        "it",
+        "his",
+        "her",
+        "their",
+        "perform",
+        "performs",
+        "performing",
+        "performed",
+        "do",
+        "does",
+        "doing",
+        "style",
+        "way",
+        "manner",
+    ]
+)
+ENDING = re.compile(r"(?<=[a-z])(ying|ies|ie)$|(?<=[a-z]{2})(y|e?ing|ed|es|s|e)$")
 SHORTHANDS = {PERFORMER: "source || '/' || nullif(subject, '')"}
 # Number of group orders to try; fewer if there are many groups, as orders then hardly differ.
 MOST_ORDERS = 200
@@ -180,12 +220,13 @@ class SplitShare:
 
 @dataclass(frozen=True)
 class SplitReport:
-    """What `split` did; `num_changed` sequences are in another split than before."""
+    """What `split` did: `num_changed` sequences are in another split, `num_captions_removed` captions are gone."""
 
     store: Path
     by: str
     splits: tuple[SplitShare, ...]
     num_changed: int
+    num_captions_removed: int
     fingerprint: str
 
 
@@ -196,13 +237,15 @@ def split(
     by: str | Sequence[str] = PERFORMER,
     where: str | None = None,
     seed: int = 0,
+    unseen_wordings: bool = False,
     dry_run: bool = False,
 ) -> SplitReport:
     """Assigns every sequence that satisfies the SQL condition to train, val or test, whole groups at a time.
 
     `by` is `performer` (source and subject together), `wording` (captions of the same words) or a SQL expression over
     the table of sequences; equal values are a group. Of several, sequences that share a value of any are one group, and
-    so is all that hangs together by them; a sequence needs a value of one of them. `shares` are those of the sequences'
+    so is all that hangs together by them; a sequence needs a value of one of them. With `unseen_wordings` the store's
+    training sequences lose each caption whose wording val or test has; their motion stays. `shares` are those of the sequences'
     seconds, in any unit; how near they are come by depends on how large the groups are (`assign_groups`). With
     `dry_run` nothing is written. Raises `UsageError` for shares that are not positive, bad SQL, sequences without a
     group, fewer groups than splits, and a group that would be in two splits because `where` leaves out a part of it;
@@ -210,14 +253,16 @@ def split(
     """
     target, columns = _checked(shares), (by,) if isinstance(by, str) else tuple(by)
     if dry_run:
-        return _plan(Store.open(path), target, columns, where, seed)[0]
+        return _plan(Store.open(path), target, columns, where, seed, unseen_wordings)[0]
     with changing(path, must_exist=True) as previous:
         store = Store.open(path)
-        report, column = _plan(store, target, columns, where, seed)
-        if not report.num_changed:
+        report, changed = _plan(store, target, columns, where, seed, unseen_wordings)
+        if not report.num_changed and not report.num_captions_removed:
             return report
-        place = store.sequences_table.schema.get_field_index("split")
-        table = store.sequences_table.set_column(place, store.sequences_table.schema.field(place), column)
+        table = store.sequences_table
+        for name, values in changed.items():
+            field = table.schema.field(name)
+            table = table.set_column(table.schema.get_field_index(name), field, pa.array(values, field.type))
         publish(
             path,
             replace(previous, files={**previous.files, SEQUENCES_FILE: write_pending(path, SEQUENCES_FILE, table)}),
@@ -269,9 +314,9 @@ def _checked(shares: Mapping[str, float]) -> dict[str, float]:
 
 
 def _plan(
-    store: Store, shares: Mapping[str, float], by: tuple[str, ...], where: str | None, seed: int
-) -> tuple[SplitReport, pa.Array]:
-    """The assignment of the chosen sequences, and the new column `split`."""
+    store: Store, shares: Mapping[str, float], by: tuple[str, ...], where: str | None, seed: int, unseen_wordings: bool
+) -> tuple[SplitReport, dict[str, list[Any]]]:
+    """The assignment of the chosen sequences, and the new columns `split` and `captions`."""
     captions = store.sequences_table["captions"].to_pylist()
     wordings = [{wording(caption["text"]) for caption in each} - {""} for each in captions]
     added: dict[str, Any] = {"wordings": wordings, "group": _groups(store, by, wordings)}
@@ -287,6 +332,14 @@ def _plan(
     after = rows["split"].copy()
     after[chosen.index] = np.array(list(shares), object)[assigned[group]]
     _require_whole_groups(rows["group"], after, set(groups) - {""}, name_of_by)
+    num_removed = 0
+    if unseen_wordings:
+        held_out = set().union(*rows["wordings"][after.isin(["val", "test"])])
+        for row in np.flatnonzero(after == "train"):
+            kept = [caption for caption in captions[row] if wording(caption["text"]) not in held_out]
+            num_removed += len(captions[row]) - len(kept)
+            captions[row] = kept
+            wordings[row] -= held_out
     training = set().union(*rows["wordings"][after == "train"])
     splits = []
     for number, name in enumerate(shares):
@@ -304,13 +357,15 @@ def _plan(
         )
         splits.append(share)
     num_changed = int((after != rows["split"]).sum())
-    report = SplitReport(store.path, name_of_by, tuple(splits), num_changed, store.fingerprint)
-    return report, pa.array(after.to_numpy(), pa.string())
+    report = SplitReport(store.path, name_of_by, tuple(splits), num_changed, num_removed, store.fingerprint)
+    return report, {"split": after.tolist(), "captions": captions}
 
 
 def wording(caption: str) -> str:
-    """A caption's words in lower case, without punctuation: equal for captions that say the same in the same words."""
-    return " ".join(re.findall(r"[^\W_]+", caption.casefold()))
+    """A caption's content words without endings, sorted: equal for a caption and its paraphrases by rule."""
+    words = re.findall(r"[^\W_]+", caption.casefold())
+    stems = (ENDING.sub("", word) for word in words if word not in FUNCTION_WORDS)
+    return " ".join(sorted(re.sub(r"([^aeiou])\1$", r"\1", stem) for stem in stems))
 
 
 def _groups(store: Store, by: Sequence[str], wordings: Sequence[Set[str]]) -> list[str | None]:

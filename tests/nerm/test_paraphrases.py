@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.data.captions import mirrored_text
+from motionkit.store.life import wording
 from nerm.paraphrases import (
     BASE_VERBS,
     RULES,
@@ -98,6 +99,11 @@ def test_a_paraphrase_in_a_mirror_is_the_mirrored_captions(text, seed):
         ("a person performs walk turn right in a old style", {"a person walks and turns right in an old way"}),
     ],
 )
+@given(text=captions())
+def test_a_split_by_wording_knows_every_paraphrase(text):
+    assert {wording(option) for option in options(text)} <= {wording(text)}
+
+
 def test_known_wordings(text, among):
     assert among <= options(text)
 

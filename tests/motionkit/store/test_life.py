@@ -278,6 +278,16 @@ def test_wordings_are_held_out_whatever_their_case_and_punctuation(tmp_path, mak
         split(path, halves, by="wording")
 
 
+def test_training_loses_captions_that_a_held_out_performer_has(tmp_path, make_motion):
+    said = [("a person walks forward", "run"), ("Someone is walking forward.",), ("jump",), ("lying down",)]
+    path = write(tmp_path / "unseen", [taken_by(make_motion, f"{n}", f"{n}", *texts) for n, texts in enumerate(said)])
+    split(path, {"train": 1.0}, by="sequence_id", where="sequence_id <> '1'")
+    report = split(path, {"val": 1.0}, by="sequence_id", where="sequence_id = '1'", unseen_wordings=True)
+    motions = {name: [caption.text for caption in Store.open(path)[name].captions] for name in "0123"}
+    assert motions == {"0": ["run"], "1": ["Someone is walking forward."], "2": ["jump"], "3": ["lying down"]}
+    assert report.num_captions_removed == 1
+
+
 def test_what_shares_a_performer_or_a_wording_stays_together(tmp_path, make_motion):
     """a – b by performer, b – c by wording, d – e by wording; f by nothing."""
     said = [("1", "walk"), ("1", "run"), ("2", "Run"), ("", "jump"), ("", "jump"), ("3",)]
