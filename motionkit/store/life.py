@@ -39,45 +39,11 @@ PERFORMER = "performer"
 # The content words of a caption; a sequence has those of all its captions.
 WORDING = "wording"
 # Words that a paraphrase adds, drops or exchanges.
-FUNCTION_WORDS = frozenset(
-    [
-        "a",
-        "an",
-        "and",
-        "the",
-        "is",
-        "are",
-        "in",
-        "with",
-        "person",
-        "human",
-        "being",
-        "figure",
-        "someone",
-        "subject",
-        "man",
-        "woman",
-        "boy",
-        "girl",
-        "he",
-        "she",
-        "it",
-        "his",
-        "her",
-        "their",
-        "perform",
-        "performs",
-        "performing",
-        "performed",
-        "do",
-        "does",
-        "doing",
-        "style",
-        "way",
-        "manner",
-    ]
+FUNCTION_WORD = re.compile(
+    r"an?|and|the|is|are|in|with|person|human|being|figure|someone|subject|man|woman|boy|girl|s?he|it|his|her|their"
+    r"|perform(s|ing|ed)?|do|does|doing|style|way|manner"
 )
-ENDING = re.compile(r"(?<=[a-z])(ying|ies|ie)$|(?<=[a-z]{2})(y|e?ing|ed|es|s|e)$")
+ENDING = re.compile(r"(?<=[^aeiou])(ying|ies|ie|y)$|(?<=..)(e?ing|ed|es|s|e)+$")
 SHORTHANDS = {PERFORMER: "source || '/' || nullif(subject, '')"}
 # Number of group orders to try; fewer if there are many groups, as orders then hardly differ.
 MOST_ORDERS = 200
@@ -220,7 +186,7 @@ class SplitShare:
 
 @dataclass(frozen=True)
 class SplitReport:
-    """What `split` did: `num_changed` sequences are in another split, `num_captions_removed` captions are gone."""
+    """What `split` did; `num_changed` sequences are in another split than before."""
 
     store: Path
     by: str
@@ -245,10 +211,10 @@ def split(
     `by` is `performer` (source and subject together), `wording` (captions of the same words) or a SQL expression over
     the table of sequences; equal values are a group. Of several, sequences that share a value of any are one group, and
     so is all that hangs together by them; a sequence needs a value of one of them. With `unseen_wordings` the store's
-    training sequences lose each caption whose wording val or test has; their motion stays. `shares` are those of the sequences'
-    seconds, in any unit; how near they are come by depends on how large the groups are (`assign_groups`). With
-    `dry_run` nothing is written. Raises `UsageError` for shares that are not positive, bad SQL, sequences without a
-    group, fewer groups than splits, and a group that would be in two splits because `where` leaves out a part of it;
+    training sequences lose each caption whose wording val or test has; their motion stays. `shares` are those of the
+    sequences' seconds, in any unit; how near they are come by depends on how large the groups are (`assign_groups`).
+    With `dry_run` nothing is written. Raises `UsageError` for shares that are not positive, bad SQL, sequences without
+    a group, fewer groups than splits, and a group that would be in two splits because `where` leaves out a part of it;
     `StoreError` for a store that is missing or of an earlier version; `BusyError` while another process writes to it.
     """
     target, columns = _checked(shares), (by,) if isinstance(by, str) else tuple(by)
@@ -364,7 +330,7 @@ def _plan(
 def wording(caption: str) -> str:
     """A caption's content words without endings, sorted: equal for a caption and its paraphrases by rule."""
     words = re.findall(r"[^\W_]+", caption.casefold())
-    stems = (ENDING.sub("", word) for word in words if word not in FUNCTION_WORDS)
+    stems = (ENDING.sub("", word) for word in words if not FUNCTION_WORD.fullmatch(word))
     return " ".join(sorted(re.sub(r"([^aeiou])\1$", r"\1", stem) for stem in stems))
 
 
