@@ -36,6 +36,7 @@ SIGNIFICANT_DIGITS, MAX_DECIMALS = 3, 6
 _FILE_NAME = re.compile(r"\w[\w.+-]*", re.ASCII)
 HINT = "run the evaluation again, or restore the file from a copy"
 Origin = Literal["ours", "reference", "paper"]
+DRAWING = "± over replications alone"
 DIFFERENCES = ": differences between rows"
 """End of the title of a block that compares another block's rows."""
 
@@ -58,8 +59,14 @@ class Cell:
 
 
 def cell_of(number: Number, details: Mapping[str, float | int] = {}, mark: str = "") -> Cell:
-    """A number as a cell, without its interval if there is none."""
-    return Cell(number.value, number.ci95 or None, details, mark)
+    """A number as a cell; the interval over replications alone is a detail if takes were resampled too.
+
+    Replications that differ by no more than rounding, as FID of one set of motions does, make no interval.
+    """
+    drawn = number.drawing > 1e-9 * abs(number.value)
+    if number.ci95 == number.drawing:
+        return Cell(number.value, number.ci95 if drawn else None, details, mark)
+    return Cell(number.value, number.ci95 or None, {**details, DRAWING: number.drawing} if drawn else details, mark)
 
 
 def format_number(value: float | int) -> str:
@@ -192,7 +199,6 @@ DIFFERENCES_NOTE = (
     "same takes for both rows. One is said to be better only where the interval leaves out 0; nothing corrects for how "
     "many pairs there are."
 )
-DRAWING = "± over replications alone"
 # Differences of two rows (the first minus the second) by column.
 Differences = Mapping[tuple[RowId, RowId], Mapping[str, Number]]
 

@@ -3,6 +3,7 @@
 Published metrics are shown beside them, by name and as their projects compute them.
 """
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -56,6 +57,11 @@ class Measured:
         resampled = tuple(float(total / count) if count else None for total, count in zip(totals, counts, strict=True))
         return with_takes(float(sums[0].sum() / sums[1].sum()), resampled)
 
+    def means(self, metrics: Sequence[Metric], resampling: Resampling) -> dict[str, Number]:
+        """The mean of every metric that a motion has, by title."""
+        found = {metric.title: self.mean(metric, resampling) for metric in metrics}
+        return {title: mean for title, mean in found.items() if mean is not None}
+
 
 def floors_of(samples: SampleSet) -> list[float]:
     """The floor height of every motion in metres."""
@@ -66,21 +72,17 @@ def measured(
     samples: SampleSet, on_motion: Callable[[], None] = lambda: None, *, floors: Sequence[float] | None = None
 ) -> Measured:
     """Measure every motion of a set, over its own floor unless `floors` are given; `on_motion` is called after each."""
-    found: dict[str, list[float]] = {metric.name: [] for metric in (*OURS, *PER_FRAME)}
+    found: dict[str, list[object]] = defaultdict(list)
     fps = float(samples.fps)
     for positions, floor in zip(samples.sequences, floors or floors_of(samples), strict=True):
         for metric in METRICS:
-            found[metric.name].append(_number(metric.function(positions, samples.fps)))
+            found[metric.name].append(metric.function(positions, samples.fps))
         for metric in PUBLISHED:
-            found[metric.name].append(_number(metric.function(positions, fps, floor=floor)))
+            found[metric.name].append(metric.function(positions, fps, floor=floor))
         on_motion()
-    values = {name: np.array(each) for name, each in found.items()}
-    return Measured(values, samples.sequences.num_frames / fps, units_of(samples.take_names, samples.generations))
-
-
-def _number(value: object) -> float:
     # Rounding errors leave 1e-17 instead of 0.
-    return round(value, 12) if isinstance(value, float) else np.nan
+    values = {name: np.round(np.array(each, dtype=np.float64), 12) for name, each in found.items()}
+    return Measured(values, samples.sequences.num_frames / fps, units_of(samples.take_names, samples.generations))
 
 
 def compute(config: EvalConfig, store: Store) -> Content:
@@ -113,46 +115,32 @@ def compute(config: EvalConfig, store: Store) -> Content:
             ("Per second", OURS, NOTE),
             ("By the field's definitions", PER_FRAME, PUBLISHED_NOTE),
         ):
-            blocks += blocks_of(f"{title}, at {label(column.fps)}", metrics, rows, notes, note, config.seed)
+            resampling = Resampling(seed=config.seed)
+            means = {row: found.means(metrics, resampling) for row, found in rows.items()}
+            shown = [metric for metric in metrics if any(metric.title in row for row in means.values())]
+            block = Block(
+                f"{title}, at {label(column.fps)}",
+                tuple(metric.title for metric in shown),
+                tuple(
+                    Row(
+                        str(row),
+                        "reference" if row == REAL else "ours",
+                        {column: cell_of(mean) for column, mean in by_column.items()},
+                        notes[row],
+                    )
+                    for row, by_column in means.items()
+                ),
+                note=note,
+                metrics=tuple(measure(metric, column=metric.title) for metric in shown),
+            )
+            differences = score_differences(means, {metric.title: metric.title for metric in shown}, (REAL,))
+            blocks += with_differences(block, differences, _nearest(means))
         blocks += detail_blocks(column.real, column.train, sets, notes, config)
     return Content(
         caption=f"Physical figures of real motion, {config.real}, and of what was made for it.",
         blocks=blocks,
         notes=tuple(f"{folder.name}: {folder.describe()}" for folder in config.sample_folders),
     )
-
-
-def blocks_of(
-    title: str,
-    metrics: Sequence[Metric],
-    rows: Mapping[RowId, Measured],
-    notes: Mapping[RowId, str],
-    note: str,
-    seed: int,
-) -> list[Block]:
-    """A block with a column for each metric that some row has, and the rows' differences; `REAL` is the reference."""
-    means: dict[RowId, dict[str, Number]] = {}
-    for row, found in rows.items():
-        by_column = {metric.title: found.mean(metric, Resampling(seed=seed)) for metric in metrics}
-        means[row] = {title: mean for title, mean in by_column.items() if mean is not None}
-    shown = [metric for metric in metrics if any(metric.title in row for row in means.values())]
-    block = Block(
-        title,
-        tuple(metric.title for metric in shown),
-        tuple(
-            Row(
-                str(row),
-                "reference" if row == REAL else "ours",
-                {column: cell_of(mean) for column, mean in by_column.items()},
-                notes[row],
-            )
-            for row, by_column in means.items()
-        ),
-        note=note,
-        metrics=tuple(measure(metric, column=metric.title) for metric in shown),
-    )
-    differences = score_differences(means, {metric.title: metric.title for metric in shown}, (REAL,))
-    return with_differences(block, differences, _nearest(means))
 
 
 def _nearest(means: Mapping[RowId, Mapping[str, Number]]) -> list[str]:
@@ -163,11 +151,7 @@ def _nearest(means: Mapping[RowId, Mapping[str, Number]]) -> list[str]:
 
 
 TABLE = Table(
-    "nerm",
-    "physical",
-    "feet, floor and roughness",
-    "physical/1",
-    compute,
+    *("nerm", "physical", "feet, floor and roughness", "physical/1", compute),
     heading="Feet, floor and roughness",
     shown=installed_models,
     task="physical",

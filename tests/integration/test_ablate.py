@@ -12,7 +12,7 @@ from eval.clip_fid.score import Protocol
 from eval.commands.ablate import ablate
 from eval.report.results import Block, Result, Row, to_markdown
 from eval.tables.nerm import figures
-from eval.tables.nerm.ablations import TABLES
+from eval.tables.nerm.reconstruction import ABLATIONS
 from eval.tables.table import EvalConfig
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Motion
@@ -124,7 +124,7 @@ def request(project: Path, run: str, results: str, *rates: int) -> EvalConfig:
 
 
 def table(project: Path, number: str, run: str, results: str) -> Result:
-    return TABLES[number].build(request(project, run, results, 20, 60))
+    return ABLATIONS[number].build(request(project, run, results, 20, 60))
 
 
 def rows(block: Block) -> dict[str, Row]:

@@ -76,7 +76,6 @@ def test_table_2(motionkit: Command, store: Path, tmp_path: Path) -> None:
     assert set(block["provenance"]["fingerprints"]) == {"20 fps", "60 fps"}
     assert any(line.startswith("NeRM: ") for line in result["missing"])
     assert not any(name.startswith("NeRM") and "(paper)" not in name for name in rows)
-    assert "small-scale" in result["caption"]
     paper = {row["name"]: row["cells"] for row in result["blocks"][-1]["rows"]}
     assert paper["NeRM (paper)"]["120 fps"]["value"] == 1.315
     assert json.loads((tmp_path / "nerm-table2.json").read_text())["version"] == "clip-fid/3"

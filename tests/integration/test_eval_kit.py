@@ -122,7 +122,7 @@ def test_kit_reaches_its_evaluator_as_21_joints_and_as_vectors(
     assert outcome.code == 0, outcome.stderr
     rows = rows_of(outcome)
     assert "as the pose vectors that they came as" in rows["vectors"]["note"]
-    assert "of KIT-ML's joints as they came" in rows["mdm"]["note"] and "KIT-ML's joints" in rows["metres"]["note"]
+    assert "KIT-ML's joints as they came" in rows["mdm"]["note"] and "KIT-ML's joints" in rows["metres"]["note"]
     for column, cell in rows["mdm"]["cells"].items():
         assert rows["metres"]["cells"][column]["value"] == pytest.approx(cell["value"], rel=1e-4, abs=1e-5), column
         # Vectors have one frame more than those made of the joints that they give.

@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.tables.nerm import table4
-from eval.tables.nerm.table4 import DISTANCE
+from eval.tables.nerm import reconstruction
+from eval.tables.nerm.reconstruction import DISTANCE
 from motionkit.training.run import RunError, RunFolder, StageContext
 from nerm.field import load_field
 from nerm.recipes import FIELD, LOCAL
@@ -46,7 +46,7 @@ def test_a_field_without_its_codebook_is_explained(store: Path, tmp_path: Path) 
 
 
 def test_table_4_is_built_from_a_store_and_a_run(store: Path, run: Path, tmp_path: Path) -> None:
-    result = table4.TABLE.build(table_request(store, tmp_path, run=run))
+    result = reconstruction.TABLE_4.build(table_request(store, tmp_path, run=run))
     same, everything, paper, mre, paper_mre = result.blocks
     assert [row.name for row in same.rows] == ROWS
     assert set(same.rows[0].cells) == {"20 fps", "40 fps", "60 fps", "100 fps", "120 fps"}

@@ -2,12 +2,13 @@
 
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
-from eval.clip_fid.score import CLIP_FID, Comparison, describe_clips, draw_clips, feature_input
+from eval.clip_fid.score import CLIP_FID, describe_clips, draw_clips, feature_input
 from eval.clip_fid.score import REAL as REAL_STREAM
 from eval.metrics.actions import diversity
 from eval.metrics.number import over_replications
@@ -61,17 +62,16 @@ def unconditional(config: EvalConfig, store: Store) -> Content:
                 sets = yardstick.sets(row, own)
                 note = VARIANT_NOTES.get(row.variant) or "; ".join(filter(None, notes))
                 scores.append(Row(str(row), "ours", yardstick.clip_fid(row, sets), note))
-                spread = {label(fps): _diversity(each, yardstick.comparisons[fps]) for fps, each in sets.items()}
-                spreads.append(Row(str(row), "ours", spread, VARIANT_NOTES.get(row.variant, "")))
+                spreads.append(Row(str(row), "ours", _diversity(sets, yardstick)))
     if not scores:
         raise RunError("; ".join(config.missing.lines))
-    real = {label(fps): _diversity(each.real, each) for fps, each in yardstick.comparisons.items()}
-    labels = tuple(map(label, config.fps or COLUMNS))
+    real = _diversity({fps: each.real for fps, each in yardstick.comparisons.items()}, yardstick)
+    labels, protocol = tuple(map(label, config.fps or COLUMNS)), config.clips
     return Content(
         caption=(
             "Motions generated without a text or action of their own, as long as the real sequences of "
-            f"{config.real}: mean over {config.clips.replications} replications of N = {config.clips.num_clips:,} "
-            "random clips a side, ± half the 95 % interval: of clip-FID over takes, of diversity over replications."
+            f"{config.real}: mean over {protocol.replications} replications of N = {protocol.num_clips:,} random clips "
+            "a side, ± half the 95 % interval: of clip-FID over takes, of diversity over replications."
         ),
         blocks=(
             Block(
@@ -94,10 +94,9 @@ def unconditional(config: EvalConfig, store: Store) -> Content:
 
 def _windows(model: GenerativeModel, yardstick: Yardstick) -> list[Window]:
     """Requests without conditions; a model that never learnt to do without gets random ones of training motion."""
-    windows = yardstick.windows(model)
-    requests = [GenerationRequest(window.request.duration_seconds) for window in windows]
+    windows, train = yardstick.windows(model), yardstick.train
+    conditions = [("", "")] * len(windows)
     if needs_a_condition(model):
-        train = yardstick.train
         known = [
             pair
             for pair in zip(train.captions, train.actions, strict=True)
@@ -105,21 +104,26 @@ def _windows(model: GenerativeModel, yardstick: Yardstick) -> list[Window]:
         ]
         if not known:
             raise NoRealMotionError(f"{model.name} needs a condition, and no training motion has one that it knows")
-        chosen = np.random.default_rng((yardstick.config.seed, 11)).integers(len(known), size=len(requests))
-        pairs = zip(requests, chosen.tolist(), strict=True)
-        requests = [replace(request, text=known[row][0], action=known[row][1]) for request, row in pairs]
-    return [replace(window, request=request) for window, request in zip(windows, requests, strict=True)]
+        chosen = np.random.default_rng((yardstick.config.seed, 11)).integers(len(known), size=len(windows))
+        conditions = [known[row] for row in chosen.tolist()]
+    return [
+        replace(window, request=GenerationRequest(window.request.duration_seconds, *condition))
+        for window, condition in zip(windows, conditions, strict=True)
+    ]
 
 
-def _diversity(samples: SampleSet, comparison: Comparison) -> Cell:
-    """Diversity of random clips in the features' space, over the protocol's replications."""
-    protocol, features = comparison.protocol, comparison.features
-    samples, values = feature_input(samples, features), []
-    for replication in range(protocol.replications):
-        clips = draw_clips(samples, protocol, replication, REAL_STREAM)
-        rng = np.random.default_rng((protocol.seed, replication, 5))
-        values.append(diversity(describe_clips(samples, clips, features), rng))
-    return cell_of(over_replications(values))
+def _diversity(sets: Mapping[Fraction, SampleSet], yardstick: Yardstick) -> dict[str, Cell]:
+    """Diversity of random clips in the features' space by column, over the protocol's replications."""
+    cells = {}
+    for fps, every in sets.items():
+        protocol, features = yardstick.comparisons[fps].protocol, yardstick.comparisons[fps].features
+        samples, values = feature_input(every, features), []
+        for replication in range(protocol.replications):
+            clips = draw_clips(samples, protocol, replication, REAL_STREAM)
+            rng = np.random.default_rng((protocol.seed, replication, 5))
+            values.append(diversity(describe_clips(samples, clips, features), rng))
+        cells[label(fps)] = cell_of(over_replications(values))
+    return cells
 
 
 def cost(config: EvalConfig, store: Store) -> Content:
@@ -146,13 +150,12 @@ def cost(config: EvalConfig, store: Store) -> Content:
             model, own = models[name].loaded, []
             for suffix, sampling in _samplings(model, fps, seconds).items():
                 fields = generate_fields(model, yardstick.windows(model), config.seed, config.max_motions, sampling)
-                cells = generation_cost(model, sampling, fps, seconds)
+                cells = _cost(model, sampling, fps, seconds)
                 for row, each in _and_planted(f"{name}{suffix}", fields).items():
                     if at_fps := yardstick.sets(row, each):
                         sets[row] = at_fps[fps]
-                        cells |= dict(
-                            zip([columns[row.variant]], yardstick.clip_fid(row, at_fps).values(), strict=False)
-                        )
+                        for cell in yardstick.clip_fid(row, at_fps).values():
+                            cells[columns[row.variant]] = cell
                 own.append(Row(f"{name}{suffix}", "ours", cells, models[name].note))
             rows += own
     if not rows:
@@ -176,25 +179,28 @@ def cost(config: EvalConfig, store: Store) -> Content:
     )
 
 
-def generation_cost(
+def _positions(
     model: GenerativeModel, sampling: SamplingOptions, fps: Fraction, seconds: float
-) -> dict[str, Cell]:
-    """CPU and wall seconds of one unconditional motion, generated and decoded whole: the quickest of some calls each.
+) -> Float32[np.ndarray, "frames joints 3"]:
+    """One motion without a condition, generated and decoded."""
+    (field,) = model.generate([GenerationRequest(seconds)], seed=0, sampling=sampling)
+    return to_motion(field, fps).joint_positions
 
-    CPU seconds at other framerates are details. Every call generates a new motion, since a decoded one may cache what
-    other framerates need.
+
+def _cost(model: GenerativeModel, sampling: SamplingOptions, fps: Fraction, seconds: float) -> dict[str, Cell]:
+    """CPU and wall seconds of one motion, the quickest of some calls each; CPU seconds at other framerates are details.
+
+    Every call generates a new motion, since a decoded one may cache what other framerates need.
     """
 
-    def spent(rate: Fraction) -> tuple[float, float]:
-        cpu, wall = time.process_time(), time.perf_counter()
-        (field,) = model.generate([GenerationRequest(seconds)], seed=0, sampling=sampling)
-        to_motion(field, rate)
-        return time.process_time() - cpu, time.perf_counter() - wall
-
     def quickest(rate: Fraction) -> tuple[float, float]:
-        spent(rate)  # warm-up: fills caches such as coordinates
-        cpu, wall = zip(*(spent(rate) for _ in range(REPEATS)), strict=True)
-        return min(cpu), min(wall)
+        spent = []
+        for _ in range(REPEATS + 1):
+            cpu, wall = time.process_time(), time.perf_counter()
+            _positions(model, sampling, rate, seconds)
+            spent.append((time.process_time() - cpu, time.perf_counter() - wall))
+        cpus, walls = zip(*spent[1:], strict=True)  # the first call fills caches, such as coordinates
+        return min(cpus), min(walls)
 
     cpu, wall = quickest(fps)
     others = {f"at {label(rate)}": quickest(rate)[0] for rate in OTHER_FPS if rate != fps}
@@ -203,21 +209,14 @@ def generation_cost(
 
 def _samplings(model: GenerativeModel, fps: Fraction, seconds: float) -> dict[str, SamplingOptions]:
     """A model's sampling options by the suffix of its row: its default, and other numbers of steps."""
-
-    def positions(sampling: SamplingOptions) -> Float32[np.ndarray, "frames joints 3"]:
-        (field,) = model.generate([GenerationRequest(seconds)], seed=0, sampling=sampling)
-        return to_motion(field, fps).joint_positions
-
-    own, suffix, others = positions(SamplingOptions()), "", {}
+    own, suffix, others = _positions(model, SamplingOptions(), fps, seconds), "", {}
     for steps in STEPS:
         sampling, name = SamplingOptions(steps=steps), f", {steps} diffusion steps"
-        try:
-            if np.array_equal(positions(sampling), own):
+        with suppress(UsageError):
+            if np.array_equal(_positions(model, sampling, fps, seconds), own):
                 suffix = f"{name} (its own)"
             else:
                 others[name] = sampling
-        except UsageError:
-            continue
     return {suffix: SamplingOptions(), **others}
 
 

@@ -14,17 +14,7 @@ from eval.metrics.number import Number, Scores, over_replications
 from eval.metrics.registry import find_metric
 from eval.metrics.retrieval import RECALL_RANKS
 from eval.native_evaluator.evaluator import load_evaluator
-from eval.report.results import (
-    DRAWING,
-    Block,
-    Cell,
-    Origin,
-    Row,
-    cell_of,
-    measure,
-    score_differences,
-    with_differences,
-)
+from eval.report.results import Block, Cell, Row, cell_of, measure, score_differences, with_differences
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.folder import rows_by_name
 from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, refusal
@@ -42,9 +32,8 @@ from eval.text_motion.motions import (
     captioned_motions,
     kit_bone_lengths,
 )
-from eval.text_motion.protocol import RetrievalRule, TextMotionProtocol, find_text_motion_protocol
+from eval.text_motion.protocol import KIT_FPS, RetrievalRule, TextMotionProtocol, find_text_motion_protocol
 from eval.text_motion.scores import (
-    PAIR_SCORES,
     SUFFIXES,
     PairTerms,
     TextMotionPairs,
@@ -56,7 +45,7 @@ from eval.text_motion.scores import (
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.progress import task
-from motionkit.core.shapes import Float32, Float64, Int64
+from motionkit.core.shapes import Float64, Int64
 from motionkit.generate.models import GenerationRequest, installed_models
 from motionkit.store.reader import Store
 from motionkit.training.text import load_text_encoder
@@ -64,29 +53,12 @@ from motionkit.training.text import load_text_encoder
 DEFAULT_FPS = Fraction(20)
 FIXED_SUFFIX, FIXED_ROW = "-fixed", ", fixed framerate"
 """Suffixes of a run whose models were trained at a single framerate, and of their rows."""
-SMALL = 1000
-"""With fewer motions the caption calls the table small-scale."""
 SENTENCES = "minilm"
-EVALUATORS = ("native", "guo", "motion-clip", "tmr")
+EVALUATOR_STAGES = {"native": "evaluator", "tmr": "tmr"}
 CHANCE, ORACLE, FLOOR = "chance", "each motion on its caption's point", "real, disjoint halves"
-NOTES = {
-    ORACLE: "the ceiling of R-Precision: motions that share a caption are indistinguishable",
-    FLOOR: "FID between random halves of the real motions; ± is of a single split",
-}
-AS_VECTORS = "read as the pose vectors that they came as"
-BY_JOINTS = "read as pose vectors made of joint positions"
+AS_VECTORS = "; read as the pose vectors that they came as"
+BY_JOINTS = "; read as pose vectors made of joint positions, as they did not come as such of this size and framerate"
 COUNT = "N"
-
-
-@dataclass(frozen=True)
-class ScoredRow:
-    """A row's scores; `retrieval` has a table's values for each of the protocol's rules."""
-
-    row: RowId
-    origin: Origin
-    scores: Scores
-    note: str = ""
-    retrieval: tuple[Mapping[str, Number], ...] = ()
 
 
 def compute(config: EvalConfig, store: Store) -> Content:
@@ -100,24 +72,19 @@ def compute(config: EvalConfig, store: Store) -> Content:
         evaluators = text_motion_evaluators(config)
         models = _models(config)
         check_sample_names(config.samples, models)
-        for each in models.values():
-            longest = each.loaded.max_duration_seconds
-            lengths, kit_lengths = (rule.limited(longest) for rule in (protocol.lengths, protocol.kit_lengths))
-            protocol = replace(protocol, lengths=lengths, kit_lengths=kit_lengths)
-    every = [_OneEvaluator(config, protocol, evaluator, store) for evaluator in evaluators]
-    blocks: list[Block] = []
-    for one in every:
-        # A single evaluator's error is the table's.
-        with config.missing.skipping(f"evaluator {one.evaluator.name!r}", (MotionkitError,) if len(every) > 1 else ()):
-            blocks += one.blocks(models)
-    fewest = min(len(each.real.captions) for each in every)
-    small = "" if fewest >= SMALL else f" A small-scale run: {fewest} real motions, and FID has the bias of its N."
+        longest = min((each.loaded.max_duration_seconds for each in models.values()), default=math.inf)
+    lengths, kit_lengths = (rule.limited(longest) for rule in (protocol.lengths, protocol.kit_lengths))
+    protocol = replace(protocol, lengths=lengths, kit_lengths=kit_lengths)
+    comparisons = [_Comparison(config, protocol, evaluator, store) for evaluator in evaluators]
     return Content(
         caption=(
             f"Whole motions and their captions, protocol {protocol.name!r} ({protocol.title}): mean over "
-            f"{protocol.replications} replications ± half the 95 % interval over takes, {config.real}.{small}"
+            f"{protocol.replications} replications ± half the 95 % interval over takes, {config.real}."
         ),
-        blocks=(*blocks, *map(paper_block, dict.fromkeys(each.real.samples.fps for each in every))),
+        blocks=(
+            *(block for each in comparisons for block in each.blocks(models)),
+            *map(paper_block, dict.fromkeys(each.real.samples.fps for each in comparisons)),
+        ),
         definition={
             "protocol": asdict(protocol),
             "real_motions": {
@@ -125,11 +92,10 @@ def compute(config: EvalConfig, store: Store) -> Content:
                     "fps": str(each.real.samples.fps),
                     "layout": each.evaluator.layout,
                     "motions": each.real.samples.num_sequences,
-                    "different_captions": len(set(each.real.samples.captions)),
                     "cropped": each.real.num_cropped,
                     "left_out": dict(each.real.left_out),
                 }
-                for each in every
+                for each in comparisons
             },
         },
         provenance={"runs": {each.run.name: each.identity for each in models.values()}},
@@ -137,11 +103,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
 
 
 TABLE = Table(
-    "nerm",
-    "1",
-    "text-to-motion at 20 fps",
-    "text-motion/1",
-    compute,
+    *("nerm", "1", "text-to-motion at 20 fps", "text-motion/1", compute),
     heading="Table 1: text-to-motion",
     shown=installed_models,
     reads=("evaluator",),
@@ -149,16 +111,10 @@ TABLE = Table(
 
 
 def text_motion_evaluators(config: EvalConfig) -> list[TextMotionEvaluator]:
-    """The requested evaluators, by default `native`.
-
-    Raises `UsageError` for a name that is not a text-motion evaluator, and if no evaluator is available.
-    """
-    names, found = config.evaluators or ("native",), []
-    for name in names:
-        if name not in EVALUATORS:
-            raise UsageError(f"--evaluator {name}: not an evaluator of text and motion; give {', '.join(EVALUATORS)}")
-    for name in names:
-        with config.missing.skipping(f"evaluator {name!r}"):
+    """The chosen evaluators that there are, by default `native`; raises `UsageError` if there is none."""
+    found = []
+    for name in config.evaluators or ("native",):
+        with config.missing.skipping(f"--evaluator {name}"):
             found.append(_evaluator(name, config))
     if not found:
         raise UsageError("; ".join(config.missing.lines))
@@ -168,33 +124,33 @@ def text_motion_evaluators(config: EvalConfig) -> list[TextMotionEvaluator]:
 def _evaluator(name: str, config: EvalConfig) -> TextMotionEvaluator:
     if name == "guo":
         if config.guo is None or config.guo.glove is None:
-            raise UsageError("--evaluator guo needs --weights finest.tar and --glove DIR (docs/evaluators.md)")
+            raise UsageError("it needs --weights finest.tar and --glove DIR (docs/evaluators.md)")
         return load_guo(config.guo)
     if name == "motion-clip":
         if config.motion_clip is None:
-            raise UsageError("--evaluator motion-clip needs its folder: --motion-clip DIR (docs/evaluators.md)")
+            raise UsageError("it needs its folder: --motion-clip DIR (docs/evaluators.md)")
         return load_motion_clip(config.motion_clip)
-    stage = "evaluator" if name == "native" else name
+    if name not in EVALUATOR_STAGES:
+        raise UsageError("not an evaluator of text and motion; give native, guo, motion-clip or tmr")
+    stage = EVALUATOR_STAGES[name]
     if config.run is None:
-        raise MotionkitError(f"it belongs to a run, and none was given (motionkit train --stage {stage})")
+        raise UsageError(f"it belongs to a run, and none was given (motionkit train --stage {stage})")
     return load_evaluator(config.run, stage)
 
 
 def _models(config: EvalConfig) -> dict[str, TrainedModel]:
     """The run's models that know texts and, if trained, those of a single framerate from the run `RUN-fixed`."""
     found = trained_models(config.run, config.missing)
-    if config.run is not None:
+    for loader in installed_models().values():
+        if config.run is None or not loader.fixed_fps_setting:
+            continue
         run = config.run.with_name(config.run.name + FIXED_SUFFIX)
-        for loader in installed_models().values():
-            if not loader.fixed_fps_setting:
-                continue
-            with config.missing.skipping(loader.title + FIXED_SUFFIX):
-                if not run.is_dir():
-                    setting = f"--set {loader.fixed_fps_setting}={float(DEFAULT_FPS):g}"
-                    command = f"motionkit train --run {run.name} {setting}"
-                    raise MotionkitError(f"there is no run {run.name!r} ({command} makes it)")
-                model = Trained(loader, run)
-                found[model.loaded.name + FIXED_ROW] = model
+        with config.missing.skipping(loader.title + FIXED_SUFFIX):
+            if not run.is_dir():
+                setting = f"--set {loader.fixed_fps_setting}={float(DEFAULT_FPS):g}"
+                raise MotionkitError(f"there is no run {run.name!r} (motionkit train --run {run.name} {setting})")
+            model = Trained(loader, run)
+            found[model.loaded.name + FIXED_ROW] = model
     for name in list(found):
         # A model without texts has no row, nor do its longest motions limit others'.
         if refused := refusal(found[name].loaded, GenerationRequest(None, "a person walks")):
@@ -203,8 +159,35 @@ def _models(config: EvalConfig) -> dict[str, TrainedModel]:
     return found
 
 
-class _OneEvaluator:
-    """One evaluator's rows and blocks."""
+@dataclass(frozen=True, eq=False)
+class Embedded:
+    """A row's embeddings: independent draws of its motions, and several motions of one text for MultiModality.
+
+    `real_rows` are the real motions of the same texts, with which the protocol compares; None for all.
+    """
+
+    draws: list[TextMotionPairs]
+    real_rows: Int64[np.ndarray, "pairs"] | None
+    repeated: Float64[np.ndarray, "texts generations features"] | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class ScoredRow:
+    """A row's scores, and its retrieval by each of the protocol's rules."""
+
+    row: RowId
+    note: str
+    scores: Scores
+    retrieval: tuple[Mapping[str, Number], ...]
+
+    def with_cells(self, cells: Mapping[str, Cell], note: str = "") -> Row:
+        """The row of a block."""
+        return Row(str(self.row), "reference" if self.row == REAL else "ours", cells, note)
+
+
+class _Comparison:
+    """Real motions as one evaluator embeds them, and the rows that are compared with them."""
 
     def __init__(
         self, config: EvalConfig, protocol: TextMotionProtocol, evaluator: TextMotionEvaluator, store: Store
@@ -215,140 +198,227 @@ class _OneEvaluator:
             raise UsageError(f"table 1 compares whole motions at one framerate: give one --fps{only}")
         rule = protocol.lengths_at(rates[0])
         real = captioned_motions(store, config.split, config.where, rates[0], rule, evaluator.layout)
-        if min(real.samples.num_sequences, config.max_motions) < protocol.pool:
+        number = real.samples.num_sequences
+        if min(number, config.max_motions) < protocol.pool:
             raise NoRealMotionError(
-                f"{real.samples.name}: {real.samples.num_sequences} captioned motions, --motions {config.max_motions}, "
+                f"{real.samples.name}: {number} captioned motions, --motions {config.max_motions}, "
                 f"but a text chooses among {protocol.pool} (protocol {protocol.name!r}); name a larger split (--split "
                 "all), ingest more, or give more --motions"
             )
         self.config, self.protocol, self.evaluator, self.real = config, protocol, evaluator, real
+        self.head = f"{evaluator.name} evaluator, protocol {protocol.name}, {float(rates[0]):g} fps"
+        self.provenance = {
+            "evaluator": evaluator.name,
+            "fingerprint": evaluator.fingerprint,
+            "protocol": protocol.name,
+        }
         self.embedder = Embedder(evaluator, config.results / FOLDER)
         with task(config.on_progress, f"{evaluator.name}: embedding real motion"):
             texts, motions = self.embedder.texts(real.captions), self.embedder.motions(real.samples)
             self.pairs = TextMotionPairs(texts, motions, real.samples.sequence_ids)
         # The real motions to generate for: all, or a random subset of the requested size.
-        number = real.samples.num_sequences
         most = min(config.max_motions, protocol.num_motions or number)
         self.chosen = np.arange(number)
         if most < number:
             self.chosen = np.sort(np.random.default_rng((config.seed, 7)).choice(number, size=most, replace=False))
+        self.own = self.pairs.select(self.chosen)
+        self.chosen_rows = self.chosen if protocol.reference == "paired" else None
         # Embeddings of the real motions' captions by an encoder independent of the evaluators, for retrieval.
-        self.sentences: Float32[np.ndarray, "pairs numbers"] | None = None
         if protocol.retrieval:
             self.sentences = load_text_encoder(SENTENCES).encode([caption.text for caption in real.captions])
 
     def blocks(self, models: Mapping[str, TrainedModel]) -> list[Block]:
-        """All scores, retrieval, and differences of rows."""
-        config, fps, evaluator = self.config, self.real.samples.fps, self.evaluator
-        rows = [self._real_row()]
+        """All metrics with the protocol's direction of R-Precision, the other direction, retrieval, differences."""
+        config, protocol = self.config, self.protocol
+        real = self._scored(REAL, Embedded([self.own], self.chosen_rows))
+        if protocol.reference != "redraw":
+            del real.scores.replications["fid"]  # a set's distance from itself
+        rows = [real]
         for name, model in models.items():
-            with config.missing.skipping(f"{name}, {evaluator.name}", (MotionkitError, ValueError)):
+            with config.missing.skipping(f"{name}, {self.evaluator.name}", (MotionkitError, ValueError)):
                 rows += self._model_rows(name, model)
         for folder in config.sample_folders:
-            with config.missing.skipping(f"{folder.name}, {evaluator.name}", (MotionkitError, ValueError)):
-                rows.append(self._sample_row(folder))
-        head = f"{evaluator.name} evaluator, protocol {self.protocol.name}, {float(fps):g} fps"
-        main, other_way, *differences = scored_blocks(rows, self.pairs, self.protocol, config.seed, head)
-        found = [replace(main, note=" ".join(filter(None, (main.note, evaluator.remark_at(fps))))), other_way]
-        if self.sentences is not None:
-            own, sentences = self.pairs.select(self.chosen), self.sentences[self.chosen]
-            found += [
-                retrieval_block(rule, index, rows, own, sentences, config.seed, head)
-                for index, rule in enumerate(self.protocol.retrieval)
-            ]
-        provenance = {
-            "evaluator": evaluator.name,
-            "fingerprint": evaluator.fingerprint,
-            "protocol": self.protocol.name,
-        }
-        return [*(replace(block, provenance=provenance) for block in found), *differences]
+            with config.missing.skipping(f"{folder.name}, {self.evaluator.name}", (MotionkitError, ValueError)):
+                found = sample_embeddings(folder, self.real, protocol, self.embedder)
+                rows.append(self._scored(RowId(folder.name), found))
+        texts_ask = [f"r_precision_top{rank}" for rank in (1, 2, 3)]
+        motions_ask = [f"{name}_motion_asks" for name in texts_ask]
+        asked, turned = (texts_ask, motions_ask) if protocol.asks == "text" else (motions_ask, texts_ask)
+        every = [*asked, "mm_dist", *filter(None, [self.evaluator.pair_score])]
+        every += ["fid", "diversity", protocol.multimodality.metric]
+        shared = [remark for remark in rows[0].scores.remarks if all(remark in row.scores.remarks for row in rows)]
+        oracle = self._oracle()
 
-    def _real_row(self) -> ScoredRow:
-        """Real motion under the protocol; without FID if that would be a set's distance from itself."""
-        own, reference = self.pairs.select(self.chosen), self.protocol.reference
-        note = "its FID is what dropped remainders and the choice of motions leave" if reference == "redraw" else ""
-        row = self._scored(REAL, note, own if reference == "paired" else self.pairs, [own], self.chosen)
-        for name in ("fid", "fid_infinity", "kid") if reference != "redraw" else ():
-            row.scores.replications.pop(name, None)
-        return row
+        def block(title: str, names: list[str], found: Sequence[Row], note: str) -> Block:
+            shown = {title_of(name): oracle[name] for name in names if name in oracle}
+            ceiling = Row(ORACLE, "reference", shown, "the ceiling: motions that share a caption are indistinguishable")
+            measures = tuple(measure(name, column=title_of(name)) for name in names)
+            columns = (*map(title_of, names), COUNT)
+            return Block(f"{title}: {self.head}", columns, (ceiling, *found), False, note, self.provenance, measures)
+
+        remarks = (f"{COUNT}: motions of a row; FIDs of different {COUNT} do not compare", *shared)
+        sentences = [f"{remark[0].upper()}{remark[1:].rstrip('.')}." for remark in remarks]
+        main, *differences = with_differences(
+            block(
+                "Table 1",
+                every,
+                (self._floor(), *(row.with_cells(_cells(row.scores, every), _note(row, shared)) for row in rows)),
+                " ".join(filter(None, (*sentences, self.evaluator.remark_at(self.real.samples.fps)))),
+            ),
+            score_differences(
+                {each.row: each.scores.values for each in rows if each.row != REAL},
+                {name: title_of(name) for name in every},
+            ),
+        )
+        other_way = block(
+            "R-Precision the other way round",
+            turned,
+            [row.with_cells(_cells(row.scores, turned)) for row in rows],
+            "The reference code asks with a text for its motion; the NeRM paper's words, with a motion for its text.",
+        )
+        retrieval = (self._retrieval(rule, index, rows) for index, rule in enumerate(protocol.retrieval))
+        return [main, other_way, *retrieval, *differences]
 
     def _model_rows(self, name: str, trained: TrainedModel) -> list[ScoredRow]:
         """A model's rows, as generated and planted."""
-        config, lengths = self.config, kit_bone_lengths(self.real.samples)
-        wanted = self.real.select(self.chosen)
+        config, lengths, wanted = self.config, kit_bone_lengths(self.real.samples), self.real.select(self.chosen)
         with task(config.on_progress, f"{self.evaluator.name}: {name}", note="motions generated") as work:
             motions = ModelMotions(name, trained.loaded, trained.identity, config.seed, lengths, work.advance)
             draws = [motions.draw(wanted, number, self.embedder) for number in range(config.draws)]
             repeated = motions.repeated(wanted, self.protocol.multimodality, config.max_motions, self.embedder)
-        reference = self.pairs.select(self.chosen) if self.protocol.reference == "paired" else self.pairs
         rows = []
         for row in motions.rows:
             made = (trained.note, "" if lengths is None else MADE_OF_22, VARIANT_NOTES.get(row.variant))
             note = "; ".join((f"run {trained.run.name!r}", *filter(None, made)))
-            own = [draw[row] for draw in draws]
-            rows.append(self._scored(row, note, reference, own, self.chosen, repeated.get(row)))
+            found = Embedded([draw[row] for draw in draws], self.chosen_rows, repeated.get(row), note)
+            rows.append(self._scored(row, found))
         return rows
 
-    def _sample_row(self, folder: SampleFolder) -> ScoredRow:
-        found = sample_embeddings(folder, self.real, self.protocol, self.embedder)
+    def _scored(self, row: RowId, found: Embedded) -> ScoredRow:
+        config, notes = self.config, [found.note]
         reference = self.pairs if found.real_rows is None else self.pairs.select(found.real_rows)
-        note = "; ".join((folder.describe(), *found.remarks))
-        return self._scored(RowId(folder.name), note, reference, list(found.draws), found.real_rows, found.repeated)
-
-    def _scored(
-        self,
-        row: RowId,
-        note: str,
-        reference: TextMotionPairs,
-        draws: list[TextMotionPairs],
-        real_rows: Int64[np.ndarray, "pairs"] | None,
-        repeated: Float64[np.ndarray, "texts generations features"] | None = None,
-    ) -> ScoredRow:
-        """A row's scores, and its retrieval for the captions of these real motions (None: of all)."""
-        remarks = []
         if row != REAL:
-            remarks = size_remarks(self.pairs.motions, reference.motions, draws[0].motions, self.config.seed)
-        ranked: tuple[Mapping[str, Number], ...] = ()
-        if self.sentences is not None:
-            sentences = self.sentences if real_rows is None else self.sentences[real_rows]
-            ranked = tuple(
-                score_retrieval(reference, draws, rule, sentences, self.config.seed) for rule in self.protocol.retrieval
-            )
-        with task(self.config.on_progress, "scoring", self.protocol.replications) as work:
+            notes += size_remarks(self.pairs.motions, reference.motions, found.draws[0].motions, config.seed)
+        ranked = tuple(
+            score_retrieval(reference, found.draws, rule, self.sentences[found.real_rows], config.seed)
+            for rule in self.protocol.retrieval
+        )
+        with task(config.on_progress, "scoring", self.protocol.replications) as work:
             scores = score_text_motion(
                 reference,
-                draws,
+                found.draws,
                 self.protocol,
-                self.config.seed,
-                repeated=repeated,
+                config.seed,
+                repeated=found.repeated,
                 pair_score=self.evaluator.pair_score,
                 on_replication=work.advance,
             )
-        origin: Origin = "reference" if row == REAL else "ours"
-        return ScoredRow(row, origin, scores, "; ".join(filter(None, (note, *remarks))), ranked)
+        return ScoredRow(row, "; ".join(filter(None, notes)), scores, ranked)
+
+    def _oracle(self) -> dict[str, Cell]:
+        """R-Precision of an oracle that embeds motions as their texts."""
+        scores, own = Scores(), TextMotionPairs(self.pairs.texts, self.pairs.texts, self.pairs.takes)
+        terms = PairTerms([own])
+        for replication in range(self.protocol.replications):
+            order = np.random.default_rng((self.config.seed, replication, 5)).permutation(len(own.texts))
+            terms.add(0, order, self.protocol.pool, scores)
+        scores.resampled |= terms.resampled_means()
+        return {name: cell_of(score) for name, score in scores.values.items()}
+
+    def _floor(self) -> Row:
+        """FID between random halves of the real motions."""
+        motions, values = self.pairs.motions, []
+        with threadpool_limits(1, "blas"):
+            for replication in range(self.protocol.replications):
+                order = np.random.default_rng((self.config.seed, replication, 6)).permutation(len(motions))
+                first, second = order[: len(order) // 2], order[len(order) // 2 :]
+                values.append(frechet_distance(fit_gaussian(motions[first]), fit_gaussian(motions[second])))
+        found = over_replications(values)
+        cells = {
+            title_of("fid"): Cell(found.value, found.ci95 * math.sqrt(len(values)) or None),
+            COUNT: Cell(len(motions) // 2),
+        }
+        return Row(FLOOR, "reference", cells, "FID between random halves of the real motions; ± is of a single split")
+
+    def _retrieval(self, rule: RetrievalRule, index: int, rows: Sequence[ScoredRow]) -> Block:
+        """Recalls and median ranks of every row, between those of chance and of texts that stand for their motions."""
+        real, sentences, seed = self.own, self.sentences[self.chosen], self.config.seed
+        names = [
+            f"{name}{SUFFIXES[direction]}"
+            for direction in rule.directions
+            for name in (*(f"recall_at_{rank}" for rank in RECALL_RANKS), "median_rank")
+        ]
+
+        def cells(values: Mapping[str, Number]) -> dict[str, Cell]:
+            return {title_of(name): Cell(values[name].value) for name in names}
+
+        number, oracle = len(real.motions), TextMotionPairs(real.texts, real.texts)
+        chance = cells(score_retrieval(real, [real], rule, sentences, seed, no_distance))
+        ceiling = cells(score_retrieval(oracle, [oracle], rule, sentences, seed))
+        note = f"Shares, not per cent; sentences are compared by {SENTENCES}."
+        if rule.same_above is not None:
+            note += f" {share_of_same_texts(rule, real, sentences):.2%} of the other texts count as a text's own."
+        return Block(
+            f"Retrieval, {rule.name}, N = {rule.pool or min(number, rule.least_similar or number)}: {self.head}",
+            tuple(map(title_of, names)),
+            (
+                Row(CHANCE, "reference", chance, "an evaluator that sees nothing"),
+                Row(ORACLE, "reference", ceiling, "captions that stand in the set twice are its ceiling"),
+                *(each.with_cells(cells(each.retrieval[index])) for each in rows),
+            ),
+            lower_is_better=False,
+            note=note,
+            provenance=self.provenance,
+            metrics=tuple(measure(name, column=title_of(name)) for name in names),
+        )
 
 
-@dataclass(frozen=True, eq=False)
-class SampleEmbeddings:
-    """`draws` are the k-th motions of every prompt, `real_rows` their real motions if the protocol pairs them.
+def title_of(name: str) -> str:
+    """A metric as a column's name, with the direction of better values: ↑, ↓, or → for as close to real as can be."""
+    metric = find_metric(name)
+    arrow = "→" if metric.higher_is_better is None else "↑" if metric.higher_is_better else "↓"
+    return f"{metric.title} {arrow}"
 
-    `remarks` states how motions were converted for an evaluator of pose vectors, and which have no real motion.
-    """
 
-    draws: tuple[TextMotionPairs, ...]
-    repeated: Float64[np.ndarray, "texts generations features"] | None
-    real_rows: Int64[np.ndarray, "pairs"] | None
-    remarks: tuple[str, ...] = ()
+def _cells(scores: Scores, names: Sequence[str]) -> dict[str, Cell]:
+    """A row's cells of these metrics, with FID∞ and KID as details of its FID, and its number of motions."""
+    values = scores.values
+    cells = {title_of(name): cell_of(values[name]) for name in names if name in values}
+    if fid := cells.get(title_of("fid")):
+        further = {find_metric(name).title: values[name].value for name in ("fid_infinity", "kid") if name in values}
+        cells[title_of("fid")] = replace(fid, details={**fid.details, **further})
+    return {**cells, COUNT: Cell(scores.sizes["generated"])}
+
+
+def _note(row: ScoredRow, leaving_out: Sequence[str]) -> str:
+    sizes = row.scores.sizes
+    counted = f"N = {sizes['generated']:,} against {sizes['real']:,} real motions"
+    if "multimodality texts" in sizes:
+        counted += f", {sizes['multimodality generations']} motions of {sizes['multimodality texts']} texts"
+    remarks = [remark for remark in row.scores.remarks if remark not in leaving_out]
+    return "; ".join(filter(None, (row.note, counted, *remarks)))
+
+
+def paper_block(fps: Fraction) -> Block:
+    """The paper's figures for the data set of this framerate."""
+    dataset = "KIT" if fps == KIT_FPS else "HumanML3D"
+    return printed_block(
+        f"Printed in the NeRM paper ({dataset})",
+        [figure for figure in reported_figures("nerm", "1") if figure.dataset == dataset],
+        lambda figure: title_of(figure.metric),
+        lower_is_better=False,
+        note=f"Theirs, by another evaluator on other motions (docs/tables.md). Source: {SOURCES['nerm']}.",
+    )
 
 
 def sample_embeddings(
     folder: SampleFolder, real: CaptionedMotions, protocol: TextMotionProtocol, embedder: Embedder
-) -> SampleEmbeddings:
-    """Embed a folder's motions and captions; motions longer than allowed are cropped like the real ones.
+) -> Embedded:
+    """Embed a folder's motions and captions: draw k has the k-th motion of every prompt.
 
-    A caption that the real set has too keeps its tokens. If the protocol pairs motions with real ones, prompts
-    without a real motion are dropped. Raises `SampleFolderError` for a missing caption, and `UsageError` if no sample
-    matches a real motion by name or caption.
+    Motions longer than allowed are cropped like the real ones. A caption that the real set has too keeps its tokens. If
+    the protocol pairs motions with real ones, prompts without a real motion are dropped. Raises `SampleFolderError` for
+    a missing caption, and `UsageError` if no sample matches a real motion by name or caption.
     """
     folder.require("caption")
     fps = real.samples.fps
@@ -356,48 +426,39 @@ def sample_embeddings(
     samples = folder.at(fps)
     cropped = [middle(sequence, most_frames) for sequence in samples.sequences]
     samples = samples.with_positions(samples.name, samples.fps, cropped)
-    motions, path = _embedded(folder, samples, real.samples, most_frames, embedder)
+    motions, remark = _embedded(folder, samples, real.samples, most_frames, embedder)
     texts = embedder.texts([real.known_captions.get(text, Caption(text)) for text in samples.captions])
     groups = [np.array(rows) for rows in samples.rows_by_group().values()]
     most = max(map(len, groups))
     repeated = motions[np.stack([rows for rows in groups if len(rows) == most])] if most > 1 else None
     found = _real_rows(samples.select(np.array([rows[0] for rows in groups])), real)
-    remarks, paired = [path] if path else [], None
+    real_rows = None
     if protocol.reference == "paired":
-        paired = np.array([row for row in found if row is not None], dtype=np.int64)
-        if not len(paired):
+        pairs = [(rows, row) for rows, row in zip(groups, found, strict=True) if row is not None]
+        if not pairs:
             raise UsageError(
                 f"protocol {protocol.name!r} compares with the real motions of the same texts; name the files after "
                 "the real sequences, or give them the captions of real sequences of this split"
             )
-        if without := len(groups) - len(paired):
-            remarks.append(
-                f"{without:,} of {len(groups):,} have no real motion of their text that takes part: left out"
-            )
-        groups = [rows for rows, row in zip(groups, found, strict=True) if row is not None]
-        found = [row for row in found if row is not None]
+        if without := len(groups) - len(pairs):
+            remark += f"; {without:,} of {len(groups):,} have no real motion of their text: left out"
+        groups, found = [rows for rows, _ in pairs], [row for _, row in pairs]
+        real_rows = np.array(found, dtype=np.int64)
     ids = real.samples.sequence_ids
     takes = tuple(f"prompt {number}" if row is None else ids[row] for number, row in enumerate(found))
-    fewest = min(map(len, groups))
-    draws = [np.array([rows[number] for rows in groups]) for number in range(fewest)]
-    pairs = tuple(TextMotionPairs(texts[rows], motions[rows], takes) for rows in draws)
-    return SampleEmbeddings(pairs, repeated, paired, tuple(remarks))
+    draws = [TextMotionPairs(texts[rows], motions[rows], takes) for rows in map(np.array, zip(*groups, strict=False))]
+    return Embedded(draws, real_rows, repeated, folder.describe() + remark)
 
 
 def _embedded(
     folder: SampleFolder, samples: SampleSet, real: SampleSet, most_frames: int, embedder: Embedder
 ) -> tuple[Float64[np.ndarray, "motions features"], str]:
-    """Embeddings of a folder's motions: from its pose vectors if the evaluator reads them, else from joints."""
+    """Embeddings of a folder's motions, from its pose vectors if the evaluator reads them, and a note on this."""
     evaluator = embedder.evaluator
     if not isinstance(evaluator, PoseVectorEvaluator):
         return embedder.motions(samples), ""
-    if not folder.vectors:
-        reason = "not all came as vectors of one size"
-    elif (size := folder.vectors[0].shape[1]) != evaluator.vector_size:
-        reason = f"vectors of {size} numbers, it reads {evaluator.vector_size}"
-    elif set(folder.fps) != {evaluator.fps}:
-        reason = f"vectors of another framerate than {evaluator.fps} fps"
-    else:
+    sizes = {motion.shape[1] for motion in folder.vectors}
+    if sizes == {evaluator.vector_size} and set(folder.fps) == {evaluator.fps}:
         # T poses make T − 1 vectors, so the longest motion has one vector fewer than poses.
         lengths = folder.sequences.num_frames.tolist()
         vectors = [
@@ -407,12 +468,12 @@ def _embedded(
         return embedder.kept(key, len(vectors), lambda: evaluator.embed_vectors(vectors)), AS_VECTORS
     kit_lengths = kit_bone_lengths(real)
     if kit_lengths is None:
-        return embedder.motions(samples), f"{BY_JOINTS} ({reason})"
+        return embedder.motions(samples), BY_JOINTS
     if folder.kit_joints and set(folder.fps) == {samples.fps}:
         joints = [middle(motion, most_frames) for motion in folder.kit_joints]
         own = samples.with_positions(samples.name, samples.fps, joints)
-        return embedder.motions(own), f"{BY_JOINTS} of KIT-ML's joints as they came ({reason})"
-    return embedder.motions(as_kit_joints(samples, kit_lengths)), f"{BY_JOINTS}, {MADE_OF_22} ({reason})"
+        return embedder.motions(own), f"{BY_JOINTS}; KIT-ML's joints as they came"
+    return embedder.motions(as_kit_joints(samples, kit_lengths)), f"{BY_JOINTS}; {MADE_OF_22}"
 
 
 def _real_rows(samples: SampleSet, real: CaptionedMotions) -> list[int | None]:
@@ -425,154 +486,3 @@ def _real_rows(samples: SampleSet, real: CaptionedMotions) -> list[int | None]:
     for row in reversed(range(real.samples.num_sequences)):
         by_caption[real.samples.captions[row]].append(row)
     return [by_caption[text].pop() if by_caption[text] else None for text in samples.captions]
-
-
-def title_of(name: str) -> str:
-    """A metric as a column's name, with the direction of better values: ↑, ↓, or → for as close to real as can be."""
-    metric = find_metric(name)
-    arrow = "→" if metric.higher_is_better is None else "↑" if metric.higher_is_better else "↓"
-    return f"{metric.title} {arrow}"
-
-
-def scored_blocks(
-    rows: Sequence[ScoredRow],
-    real: TextMotionPairs,
-    protocol: TextMotionProtocol,
-    seed: int,
-    head: str,
-) -> list[Block]:
-    """All metrics with the protocol's direction of R-Precision, the other direction, and differences of rows."""
-    texts_ask = [f"r_precision_top{rank}" for rank in (1, 2, 3)]
-    motions_ask = [f"{name}_motion_asks" for name in texts_ask]
-    asked, turned = (texts_ask, motions_ask) if protocol.asks == "text" else (motions_ask, texts_ask)
-    paired = [name for name in PAIR_SCORES if name in rows[0].scores.values]
-    every = [*asked, "mm_dist", *paired, "fid", "diversity", protocol.multimodality.metric]
-    shared = [remark for remark in rows[0].scores.remarks if all(remark in row.scores.remarks for row in rows)]
-    oracle = _oracle(real, protocol, seed)
-    floor = {title_of("fid"): cell_of(_halves(real, protocol, seed)), COUNT: Cell(len(real.motions) // 2)}
-    remarks = (f"{COUNT}: motions of a row; FIDs of different {COUNT} do not compare", *shared)
-
-    def block(title: str, names: list[str], found: Sequence[Row], note: str) -> Block:
-        shown = {title_of(name): oracle[name] for name in names if name in oracle}
-        ceiling = Row(ORACLE, "reference", shown, NOTES[ORACLE])
-        measures = tuple(measure(name, column=title_of(name)) for name in names)
-        columns = (*map(title_of, names), COUNT)
-        return Block(f"{title}: {head}", columns, (ceiling, *found), False, note, metrics=measures)
-
-    main = block(
-        "Table 1",
-        every,
-        (Row(FLOOR, "reference", floor, NOTES[FLOOR]), *(_row(row, every, shared) for row in rows)),
-        ". ".join(remark[0].upper() + remark[1:].rstrip(".") for remark in remarks) + ".",
-    )
-    other_way = block(
-        "R-Precision the other way round",
-        turned,
-        [replace(_row(row, turned), note="") for row in rows],
-        "The reference code asks with a text for its motion; the NeRM paper's words, with a motion for its text.",
-    )
-    own = {each.row: each.scores.values for each in rows if each.origin == "ours"}
-    differences = score_differences(own, {name: title_of(name) for name in every})
-    main, *tests = with_differences(main, differences)
-    return [main, other_way, *tests]
-
-
-def paper_block(fps: Fraction) -> Block:
-    """The paper's figures for the data set of this framerate."""
-    dataset = "KIT" if fps == Fraction(25, 2) else "HumanML3D"
-    figures = [figure for figure in reported_figures("nerm", "1") if figure.dataset == dataset]
-    names = ("r_precision_top3", "mm_dist", "fid", "diversity", "multimodality")
-    return printed_block(
-        f"Printed in the NeRM paper ({dataset})",
-        figures,
-        lambda figure: title_of(figure.metric),
-        columns=tuple(title_of(name) for name in names if any(figure.metric == name for figure in figures)),
-        lower_is_better=False,
-        note=f"Theirs, by another evaluator on other motions (docs/tables.md). Source: {SOURCES['nerm']}.",
-    )
-
-
-def _row(row: ScoredRow, names: Sequence[str], leaving_out: Sequence[str] = ()) -> Row:
-    values, sizes = row.scores.values, row.scores.sizes
-    cells = {title_of(name): _score_cell(values[name]) for name in names if name in values}
-    if fid := cells.get(title_of("fid")):
-        further = {find_metric(name).title: values[name].value for name in ("fid_infinity", "kid") if name in values}
-        cells[title_of("fid")] = replace(fid, details={**fid.details, **further})
-    cells[COUNT] = Cell(sizes["generated"])
-    counted = f"N = {sizes['generated']:,} against {sizes['real']:,} real motions"
-    if "multimodality texts" in sizes:
-        counted += f", {sizes['multimodality generations']} motions of {sizes['multimodality texts']} texts"
-    remarks = [remark for remark in row.scores.remarks if remark not in leaving_out]
-    return Row(str(row.row), row.origin, cells, "; ".join(filter(None, (row.note, counted, *remarks))))
-
-
-def _score_cell(number: Number) -> Cell:
-    """A metric of a row, with the interval over replications as a detail if takes were resampled too.
-
-    Replications that differ by no more than rounding, as FID of one set of motions does, make no interval.
-    """
-    drawn = number.drawing > 1e-9 * abs(number.value)
-    if number.ci95 == number.drawing:
-        return Cell(number.value, number.ci95 if drawn else None)
-    return Cell(number.value, number.ci95, {DRAWING: number.drawing} if drawn else {})
-
-
-def _oracle(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> dict[str, Cell]:
-    """R-Precision of an oracle that embeds motions as their texts."""
-    scores, own = Scores(), TextMotionPairs(real.texts, real.texts, real.takes)
-    terms = PairTerms([own])
-    for replication in range(protocol.replications):
-        order = np.random.default_rng((seed, replication, 5)).permutation(len(own.texts))
-        terms.add(0, order, protocol.pool, scores)
-    scores.resampled |= terms.resampled_means()
-    return {name: _score_cell(score) for name, score in scores.values.items()}
-
-
-def _halves(real: TextMotionPairs, protocol: TextMotionProtocol, seed: int) -> Number:
-    values = []
-    with threadpool_limits(1, "blas"):
-        for replication in range(protocol.replications):
-            order = np.random.default_rng((seed, replication, 6)).permutation(len(real.motions))
-            first, second = order[: len(order) // 2], order[len(order) // 2 :]
-            values.append(frechet_distance(fit_gaussian(real.motions[first]), fit_gaussian(real.motions[second])))
-    found = over_replications(values)
-    return replace(found, ci95=found.drawing * math.sqrt(len(values)))
-
-
-def retrieval_block(
-    rule: RetrievalRule,
-    index: int,
-    rows: Sequence[ScoredRow],
-    real: TextMotionPairs,
-    sentences: Float32[np.ndarray, "pairs numbers"],
-    seed: int,
-    head: str,
-) -> Block:
-    """Recalls and median ranks of every row, between those of chance and of texts that stand for their motions."""
-    names = [
-        f"{name}{SUFFIXES[direction]}"
-        for direction in rule.directions
-        for name in (*(f"recall_at_{rank}" for rank in RECALL_RANKS), "median_rank")
-    ]
-
-    def row(name: str, origin: Origin, values: Mapping[str, Number], note: str = "") -> Row:
-        return Row(name, origin, {title_of(metric): Cell(values[metric].value) for metric in names}, note)
-
-    number, oracle = len(real.motions), TextMotionPairs(real.texts, real.texts)
-    chance = score_retrieval(real, [real], rule, sentences, seed, no_distance)
-    ceiling = score_retrieval(oracle, [oracle], rule, sentences, seed)
-    note = f"Shares, not per cent; sentences are compared by {SENTENCES}."
-    if rule.same_above is not None:
-        note += f" {share_of_same_texts(rule, real, sentences):.2%} of the other texts count as a text's own."
-    return Block(
-        f"Retrieval, {rule.name}, N = {rule.pool or min(number, rule.least_similar or number)}: {head}",
-        tuple(map(title_of, names)),
-        (
-            row(CHANCE, "reference", chance, "an evaluator that sees nothing"),
-            row(ORACLE, "reference", ceiling, "captions that stand in the set twice are its ceiling"),
-            *(row(str(each.row), each.origin, each.retrieval[index]) for each in rows if each.retrieval),
-        ),
-        lower_is_better=False,
-        note=note,
-        metrics=tuple(measure(name, column=title_of(name)) for name in names),
-    )

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from eval.clip_fid.score import CLIP_FID, VERSION, Comparison, FeatureSource, feature_sources
+from eval.clip_fid.score import CLIP_FID, VERSION, FeatureSource, feature_sources
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, measure, with_differences
 from eval.sets.copies import HELD_OUT_SHARE, STILL_METRES, TrainingWindows, held_out_limit
@@ -16,13 +16,10 @@ from eval.sets.sets import REAL, Missing, RowId, SampleSet, Variant, set_remarks
 from eval.tables.systems import (
     COLUMNS,
     LOW_FPS,
-    MOTIONS,
     REFERENCES,
     ROW_NOTES,
-    TAKES,
     VECTORS,
     Column,
-    ModelFields,
     detail_blocks,
     generated_at,
     generated_fields,
@@ -35,19 +32,16 @@ from motionkit.core.progress import task
 from motionkit.generate.models import installed_models
 from motionkit.store.reader import Store
 
-GENERATED_NOTE = "asked for at the column's framerate, with the captions and durations of its real sequences"
-UPSAMPLED_NOTE = "the same motions asked for at 20 fps, then upsampled like the real ones"
-SMALL_SECONDS = 3600.0
-"""With less real motion at any framerate, the caption calls the table small-scale."""
+UPSAMPLED_NOTE = "the same motions generated at 20 fps, then upsampled like the real ones"
 COPIES = "Copies of training motion"
 HELD_OUT = RowId(REAL.system, Variant.HELD_OUT)
 COPIED = "copied (%)"
 SHARES = {"nearest (mm)": 0.0, "5 % (mm)": 0.05, "25 % (mm)": 0.25, "50 % (mm)": 0.5, "95 % (mm)": 0.95}
 MAX_COPIES = 60
 COPIES_NOTE = (
-    "Copied are windows of a second that are nearer to training motion, for how much they move, than "
-    f"{HELD_OUT_SHARE:.0%} of held-out real motion's are; those that move less than {1000 * STILL_METRES:g} mm are "
-    f"left out. The last columns hold the distance within which that share has training motion. A row has at most "
+    f"Copied are windows of a second that are nearer to training motion, for how much they move, than "
+    f"{HELD_OUT_SHARE:.0%} of held-out real motion's. Windows that move less than {1000 * STILL_METRES:g} mm are left "
+    f"out. The other columns hold the distance within which that share has training motion. A row has at most "
     f"{MAX_COPIES} motions."
 )
 
@@ -76,23 +70,20 @@ class Sheet:
         for pair, difference in differences.items():
             self.differences.setdefault(pair, {})[name] = difference
         self.fingerprints[name] = comparison.features.fingerprint
-        self.remarks |= dict.fromkeys(_too_few(column, comparison))
+        size, sets = comparison.num_features, column.rows.values()
+        if min(comparison.protocol.num_clips, *(each.num_sequences for each in sets)) <= size:
+            self.remarks |= {f"With no more motions or clips than {size} features a covariance is singular.": None}
 
     def blocks(self, labels: tuple[str, ...], notes: Mapping[RowId, str], config: EvalConfig) -> list[Block]:
         """The scores, and which rows differ."""
-        rows = []
-        for row, cells in self.cells.items():
-            columns: dict[str, list[str]] = {}
-            for column, cell in cells.items():
-                count = f"{cell.details[MOTIONS]:,} motions of {cell.details[TAKES]:,} takes"
-                columns.setdefault(count, []).append(column.removesuffix(" fps"))
-            counts = (f"{count} at {', '.join(rates)} fps" for count, rates in columns.items())
-            note = "; ".join(filter(None, (notes.get(row, ""), *counts)))
-            rows += [Row(str(row), "reference" if row in REFERENCES else "ours", cells, note)] if cells else []
         scores = Block(
             self.source.title,
             labels,
-            tuple(rows),
+            tuple(
+                Row(str(row), "reference" if row in REFERENCES else "ours", cells, notes.get(row, ""))
+                for row, cells in self.cells.items()
+                if cells
+            ),
             note=" ".join((self.source.note, *self.remarks)).strip(),
             provenance={
                 "fingerprints": self.fingerprints,
@@ -120,10 +111,9 @@ def compute(config: EvalConfig, store: Store) -> Content:
     if not rates:
         raise NoRealMotionError(config.missing.lines[-1])
     generated, training = generated_fields(config, real.at(min(rates)))
-    notes = _row_notes(generated, training, config)
+    notes = _row_notes(training, config)
     sheets = [Sheet(source) for source in feature_sources(config.evaluators, config.guo, config.missing)]
     real_sets: dict[str, dict[str, float]] = {}
-    num_generated: dict[str, dict[str, int]] = {}
     remarks: dict[str, None] = {}
     details: list[Block] = []
     for fps in rates:
@@ -131,8 +121,6 @@ def compute(config: EvalConfig, store: Store) -> Content:
         column, name = make_column(fps, real, train, generated, config), label(fps)
         real_sets[name] = {"sequences": column.real.num_sequences, "seconds": column.real.duration_seconds}
         others = {str(row): samples for row, samples in column.rows.items() if row not in REFERENCES}
-        as_is = [row for row in generated if row.variant is Variant.AS_IS]
-        num_generated[name] = {str(row): column.rows[row].num_sequences for row in as_is if row in column.rows}
         remarks |= dict.fromkeys(set_remarks(column.real, others))
         for sheet in sheets:
             with config.missing.skipping(f"{name}, {sheet.source.name}"):
@@ -152,13 +140,12 @@ def compute(config: EvalConfig, store: Store) -> Content:
         slow = generated_at(fields, real.at(LOW_FPS), LOW_FPS, Missing())
         slow |= {RowId(folder.name): folder.at(LOW_FPS) for folder in config.sample_folders}
         copies.append(copies_block(real.at(LOW_FPS), train.at(LOW_FPS), slow, notes))
-    protocol, minutes = config.clips, min(each["seconds"] for each in real_sets.values()) / 60
-    small = "" if 60 * minutes >= SMALL_SECONDS else f" A small-scale run: real sets from {minutes:.1f} minutes on."
+    protocol = config.clips
     return Content(
         caption=(
             f"clip-FID ({VERSION}), lower is better: mean over {protocol.replications} replications of N = "
             f"{protocol.num_clips:,} random clips on each side, {config.real}, ± half the 95 % interval over takes "
-            f"({protocol.resamplings} resamplings of the takes of both sides).{small}"
+            f"({protocol.resamplings} resamplings of the takes of both sides)."
         ),
         blocks=(
             *(block for sheet in sheets for block in sheet.blocks(tuple(real_sets), notes, config)),
@@ -171,41 +158,19 @@ def compute(config: EvalConfig, store: Store) -> Content:
                 note=f"Of another feature extractor on other motions (docs/tables.md). Source: {SOURCES['nerm']}.",
             ),
         ),
-        definition={
-            "protocol": asdict(protocol),
-            "real_sets": real_sets,
-            "generated_motions": num_generated,
-        },
-        notes=(
-            "Columns hold different sequences, so numbers compare down a column, not along a row.",
-            *remarks,
-        ),
+        definition={"protocol": asdict(protocol), "real_sets": real_sets},
+        notes=("Columns hold different sequences: numbers compare down a column, not along a row.", *remarks),
     )
 
 
 TABLE = Table("nerm", "2", "clip-FID by framerate", VERSION, compute, shown=installed_models)
 
 
-def _row_notes(generated: ModelFields, training: Mapping[str, str], config: EvalConfig) -> dict[RowId, str]:
-    systems = dict.fromkeys(row.system for row in generated)
-    own = {system: "; ".join(filter(None, (GENERATED_NOTE, training.get(system)))) for system in systems}
-    own |= {folder.name: folder.describe() for folder in config.sample_folders}
+def _row_notes(training: Mapping[str, str], config: EvalConfig) -> dict[RowId, str]:
+    own = {**training, **{folder.name: folder.describe() for folder in config.sample_folders}}
     variants = {Variant.UPSAMPLED: UPSAMPLED_NOTE, Variant.AS_VECTORS: ROW_NOTES[VECTORS], **VARIANT_NOTES}
     of_variants = {RowId(system, variant): note for system in own for variant, note in variants.items()}
     return {**ROW_NOTES, **{RowId(system): note for system, note in own.items()}, **of_variants}
-
-
-def _too_few(column: Column, comparison: Comparison) -> list[str]:
-    """Remarks on columns with no more samples than features, whose covariances are singular."""
-    size = comparison.num_features
-    counts = {"the real set": column.real.num_sequences}
-    own = {row: samples for row, samples in column.rows.items() if row not in REFERENCES}
-    counts |= {str(row): each.num_sequences for row, each in own.items() if row.variant is Variant.AS_IS}
-    few = ", ".join(f"{name} ({count})" for name, count in counts.items() if count <= size)
-    few = few and f"At {label(column.fps)} these have no more motions than there are features ({size}): {few}."
-    num_clips = comparison.protocol.num_clips
-    singular = f"With {num_clips} clips for {size} features every covariance is singular." if num_clips <= size else ""
-    return list(filter(None, (few, singular)))
 
 
 def copies_block(

@@ -12,18 +12,10 @@ from eval.actions.scores import ActionProtocol, Recognition, find_action_protoco
 from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_actions, known_to_all, with_rotations
 from eval.metrics.actions import accuracy
 from eval.metrics.distributions import kid
-from eval.metrics.number import Number, half_width
-from eval.report.results import (
-    DRAWING,
-    Block,
-    Cell,
-    Row,
-    measure,
-    score_differences,
-    with_differences,
-)
+from eval.metrics.number import Number
+from eval.report.results import Block, Cell, Row, cell_of, measure, score_differences, with_differences
 from eval.sets.motions import VARIANT_NOTES, RealMotion, has_training, real_motion
-from eval.sets.sets import REAL, RowId, SampleSet, check_sample_names, size_remarks
+from eval.sets.sets import REAL, RowId, check_sample_names, size_remarks
 from eval.tables.systems import trained_models
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
 from motionkit.core.errors import UsageError
@@ -31,22 +23,17 @@ from motionkit.core.progress import task, tracked
 from motionkit.generate.models import installed_models
 from motionkit.store.reader import Store
 
-COLUMN_OF = {
-    "accuracy": "Accuracy",
-    "diversity": "Diversity",
-    "diversity_with_replacement": "Diversity",
-    "multimodality_by_class": "MultiModality",
-    "multimodality_by_class_with_replacement": "MultiModality",
-}
-PAPER_COLUMNS = {
+COLUMNS = {
     "fid_train": "FID (train)",
     "fid_test": "FID (test)",
     "accuracy": "Accuracy",
     "diversity": "Diversity",
+    "diversity_with_replacement": "Diversity",
     "multimodality": "MultiModality",
+    "multimodality_by_class": "MultiModality",
+    "multimodality_by_class_with_replacement": "MultiModality",
 }
 VARIANCE = '1.96 · variance (ACTOR\'s "±")'
-SMALL_MOTIONS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +43,6 @@ class System:
     row: RowId
     draws: tuple[Recognition, ...]
     note: str
-    is_reference: bool = False
 
 
 def compute(config: EvalConfig, store: Store) -> Content:
@@ -80,23 +66,21 @@ def compute(config: EvalConfig, store: Store) -> Content:
     with task(config.on_progress, "real motion"):
         compared = real_actions(real_motion(store, config.split, config.where))
         config.missing.add(*(f"real ({config.split}): {line}" for line in compared.left_out))
-        note = f"{compared.samples.num_sequences:,} motions"
+        number, counts = compared.samples.num_sequences, np.bincount(compared.labels)
         row = RowId(f"{REAL} ({config.split})")
-        systems = [System(row, (compared.recognised(recogniser),), note, is_reference=True)]
-        references = {"test": systems[0].draws[0].features}
+        real = System(row, (compared.recognised(recogniser),), f"{number:,} motions")
+        references = {"test": real.draws[0].features}
         if config.split not in ("train", "all") and has_training(store):
             with config.missing.skipping("FID (train)", (NoActionsError,)):
                 train = real_actions(real_motion(store, "train"))
                 references["train"] = train.recognised(recogniser).features
     with task(config.on_progress, "generating"):
-        systems += [*_generated(compared, recogniser, config), *_samples(source, recogniser, config)]
-    number, counts = compared.samples.num_sequences, np.bincount(compared.labels)
-    small = "" if number >= SMALL_MOTIONS else " A small-scale run: rows say how systems rank on this store."
+        systems = [real, *_generated(compared, recogniser, config), *_samples(source, recogniser, config)]
     return Content(
         caption=(
             f"What a recogniser of actions ({source.title}) says of {number:,} real motions of "
             f"{np.count_nonzero(counts)} actions, {config.real}, and of motions generated for the same actions at "
-            f"{source.fps} fps: mean over the protocol's replications ± half the 95 % interval over motions.{small}"
+            f"{source.fps} fps: mean over the protocol's replications ± half the 95 % interval over motions."
         ),
         blocks=(
             *(block for protocol in protocols for block in _blocks(protocol, source, references, systems, config)),
@@ -121,11 +105,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
 
 
 TABLE = Table(
-    "nerm",
-    "3",
-    "action-to-motion",
-    "action-to-motion/1",
-    compute,
+    *("nerm", "3", "action-to-motion", "action-to-motion/1", compute),
     shown=installed_models,
     settings=("conditions.kind=action",),
 )
@@ -134,28 +114,20 @@ TABLE = Table(
 def _recogniser(source: RecogniserSource, store: Store, config: EvalConfig) -> ActionRecogniser:
     """The recogniser, fitted on the training motions or read from the file of weights."""
     weights = config.guo.weights if config.guo else None
-    if not source.dataset:
-        if weights is not None:
-            raise UsageError(
-                "--weights needs a published recogniser ('linear' is fitted on the store): choose one with "
-                "--evaluator humanact12 or uestc"
-            )
-        return fit_linear(_training_samples(source, store, config))
-    from eval.actions.published import load_humanact12, load_uestc  # deferred: torch
+    if source.dataset:
+        from eval.actions.published import load_humanact12, load_uestc  # deferred: torch
 
-    if weights is None:
-        raise UsageError(f"--evaluator {source.name} needs the file of its weights: --weights FILE")
-    return (load_uestc if source.needs_rotations else load_humanact12)(weights)
-
-
-def _training_samples(source: RecogniserSource, store: Store, config: EvalConfig) -> SampleSet:
-    """The training motions that a recogniser is fitted on."""
+        if weights is None:
+            raise UsageError(f"--evaluator {source.name} needs the file of its weights: --weights FILE")
+        return (load_uestc if source.needs_rotations else load_humanact12)(weights)
+    if weights is not None:
+        raise UsageError("--weights needs a published recogniser: --evaluator humanact12 or uestc")
     if not has_training(store):
         raise UsageError(
             f"{config.store} has no training split, and {source.name!r} is fitted on one: `motionkit split` makes it"
         )
     samples = real_motion(store, "train").at(source.fps)
-    return samples.select(np.flatnonzero(samples.sequences.num_frames >= MIN_FRAMES))
+    return fit_linear(samples.select(np.flatnonzero(samples.sequences.num_frames >= MIN_FRAMES)))
 
 
 def _generated(compared: ActionSet, recogniser: ActionRecogniser, config: EvalConfig) -> list[System]:
@@ -197,31 +169,35 @@ def _blocks(
     systems: Sequence[System],
     config: EvalConfig,
 ) -> list[Block]:
-    """A protocol's scores, and which rows differ."""
-    columns = {"fid_train": "FID (train)", "fid_test": f"FID ({config.split})", **COLUMN_OF}
+    """A protocol's scores, and which rows differ; the first system is real motion."""
+    columns = COLUMNS | {"fid_test": f"FID ({config.split})"}
     rows: list[Row] = []
     own: dict[RowId, Mapping[str, Number]] = {}
     metrics: dict[str, str] = {}
     for system in systems:
-        reference = {name: each for name, each in references.items() if not (system.is_reference and name == "test")}
+        is_real, first = system is systems[0], system.draws[0].features
+        # Real motion has no distance from itself.
+        reference = {name: features for name, features in references.items() if not (is_real and name == "test")}
         with config.missing.skipping(f"{system.row}, protocol {protocol.name!r}", (ValueError,)):
             scores = score_actions(reference, system.draws, protocol, config.seed)
-            metrics |= {name: columns[name] for name in scores.values}
-            cells = {columns[name]: _cell(each, scores.replications[name]) for name, each in scores.values.items()}
-            first = system.draws[0].features
+            cells = {}
+            for name, number in scores.values.items():
+                values = scores.replications[name]
+                differ = np.ptp(values) > 1e-9 * abs(number.value)
+                spread = {VARIANCE: 1.96 * float(np.var(values))} if differ else {}
+                metrics[name], cells[columns[name]] = columns[name], cell_of(number, spread)
             for name, features in reference.items():
                 # KID of the first draw beside every FID, since it is unbiased for few motions.
                 cell = cells[columns[f"fid_{name}"]]
                 cells[columns[f"fid_{name}"]] = replace(cell, details={**cell.details, "KID": kid(features, first)})
-            remarks: list[str] = []
-            if not system.is_reference:
+            notes = [system.note]
+            if not is_real:
                 own[system.row] = scores.values
-                remarks = [line for line in scores.remarks if line not in protocol.remarks]
-                remarks += size_remarks(references["test"], references["test"], first, config.seed)
+                notes += [line for line in scores.remarks if line not in protocol.remarks]
+                notes += size_remarks(references["test"], references["test"], first, config.seed)
             if len(first) <= first.shape[1]:
-                remarks.append(f"no more motions than the recogniser's {first.shape[1]} features: read KID, not FID")
-            note = "; ".join((system.note, *remarks))
-            rows.append(Row(str(system.row), "reference" if system.is_reference else "ours", cells, note))
+                notes.append(f"no more motions than the recogniser's {first.shape[1]} features: read KID, not FID")
+            rows.append(Row(str(system.row), "reference" if is_real else "ours", cells, "; ".join(notes)))
     block = Block(
         f"Protocol {protocol.name!r}: {source.title}",
         tuple(column for column in dict.fromkeys(columns.values()) if any(column in row.cells for row in rows)),
@@ -233,16 +209,6 @@ def _blocks(
         metrics=tuple(measure(name, column=column) for name, column in metrics.items()),
     )
     return with_differences(block, score_differences(own, metrics))
-
-
-def _cell(number: Number, replications: Sequence[float]) -> Cell:
-    """Mean and interval over motions; details are interval and variance over replications, if these differ."""
-    if np.ptp(replications) <= 1e-9 * abs(replications[0]):
-        return Cell(number.value, half_width(number.resampled))
-    details = {VARIANCE: 1.96 * float(np.var(replications))}
-    if number.ci95 != number.drawing:
-        details[DRAWING] = number.drawing
-    return Cell(number.value, number.ci95, details)
 
 
 def _by_action(recogniser: ActionRecogniser, systems: Sequence[System]) -> Block:
@@ -261,18 +227,13 @@ def _by_action(recogniser: ActionRecogniser, systems: Sequence[System]) -> Block
 
 
 def _paper_blocks(source: RecogniserSource) -> list[Block]:
-    figures = reported_figures("nerm", "3")
-    blocks = []
-    for dataset in dict.fromkeys(figure.dataset for figure in figures if source.dataset in ("", figure.dataset)):
-        of_dataset = [figure for figure in figures if figure.dataset == dataset]
-        used = {figure.metric for figure in of_dataset if figure.value is not None}
-        blocks.append(
-            printed_block(
-                f"Printed in the NeRM paper for {dataset} ({SOURCES['nerm']})",
-                of_dataset,
-                lambda figure: PAPER_COLUMNS[figure.metric],
-                columns=tuple(column for metric, column in PAPER_COLUMNS.items() if metric in used),
-                note="Of other motions, and of two protocols (docs/tables.md): nothing above compares with them.",
-            )
+    figures = [each for each in reported_figures("nerm", "3") if source.dataset in ("", each.dataset)]
+    return [
+        printed_block(
+            f"Printed in the NeRM paper for {dataset} ({SOURCES['nerm']})",
+            [figure for figure in figures if figure.dataset == dataset],
+            lambda figure: COLUMNS[figure.metric],
+            note="Of other motions, and of two protocols (docs/tables.md): nothing above compares with them.",
         )
-    return blocks
+        for dataset in dict.fromkeys(figure.dataset for figure in figures)
+    ]

@@ -254,7 +254,7 @@ def test_an_evaluator_that_is_missing_leaves_the_others(monkeypatch: pytest.Monk
     files = GuoFiles(Path("finest.tar"), glove=Path("glove"))
     config = table_request(Path("store"), Path("results"), features=("guo", "native"), guo=files)
     assert [each.name for each in table1.text_motion_evaluators(config)] == ["shapes"]
-    assert config.missing.lines[0].startswith("evaluator 'native': it belongs to a run")
+    assert config.missing.lines[0].startswith("--evaluator native: it belongs to a run")
 
 
 def test_broken_and_too_few_motions_are_reported(

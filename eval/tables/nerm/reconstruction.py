@@ -1,0 +1,335 @@
+"""NeRM's Table 4, how well an encoder reconstructs windows of motion, and its ablations: Tables 5 to 9, and ours.
+
+The ground truth at s fps is the capture, low-passed and downsampled if its framerate is higher; sequences slower than s
+have none and are left out. A row of an ablation is a variant of `motionkit ablate`; its numbers are means over the
+seeds that it was trained with.
+"""
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass
+from fractions import Fraction
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from eval.clip_fid.score import CLIP_FID
+from eval.metrics.motion import mean_vector_distance, mpjpe_global, mpjpe_root_aligned, mre
+from eval.report.results import Block, Cell, Row, measure
+from eval.sets.motions import generate_fields
+from eval.sets.sets import RowId
+from eval.tables.systems import COLUMNS, Trained, Yardstick, label, reconstructor, trained_reconstructors
+from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
+from motionkit.core.errors import UsageError
+from motionkit.core.mirror import mirror_positions
+from motionkit.core.progress import tracked
+from motionkit.core.shapes import Bool, Float32, Int64
+from motionkit.core.skeleton import SMPL22
+from motionkit.data.reconstruction import ReconstructsWindows
+from motionkit.data.windows import Windows
+from motionkit.edit.encoders import encoder_loader, installed_encoders
+from motionkit.features import field
+from motionkit.features.native import vectors
+from motionkit.fields.motion_field import MotionField, to_motion
+from motionkit.fields.resample import resample_positions
+from motionkit.generate.models import model_loader
+from motionkit.store.cache import PositionCache
+from motionkit.store.reader import Store
+from motionkit.training.ablations import Ablation, find_ablations
+from motionkit.training.run import RunFolder
+
+NERM = find_ablations("nerm")
+TRAINING, HELD_OUT = "training windows", "held-out windows"
+MOST_WINDOWS = 384
+GLOBAL, DISTANCE, COUNT = "global MPJPE, mm", "L2 norm of the whole vector", "windows"
+LOWEST, HIGHEST = "lowest of the seeds", "highest of the seeds"
+SYNTHESIS = "Motion synthesis: clip-FID on the kinematic descriptor"
+MEASURES = {"mpjpe": measure("mpjpe", unit="mm"), "mre": measure("mre"), "clip_fid": measure(CLIP_FID)}
+# Table 4's blocks: the metric, and whether they are of the windows that have a truth in every column.
+SAME = "takes fast enough for every column"
+TABLE_4_BLOCKS = {
+    f"MPJPE in mm, {SAME}": ("mpjpe", True),
+    "MPJPE in mm, all takes at least as fast as the column": ("mpjpe", False),
+    f"MRE, {SAME}": ("mre", True),
+}
+# An ablation's blocks: the windows' kind, and the metric.
+ABLATION_BLOCKS = {
+    f"Reconstruction of {TRAINING}, from their μ: root-aligned MPJPE (mm)": (TRAINING, "mpjpe"),
+    f"Reconstruction of {TRAINING}, from their μ: MRE": (TRAINING, "mre"),
+    f"Reconstruction of {HELD_OUT}, encoded by optimisation: root-aligned MPJPE (mm)": (HELD_OUT, "mpjpe"),
+    SYNTHESIS: ("generated motion", "clip_fid"),
+}
+PRINTED = {"mre": "motion reconstruction, MRE", "clip_fid": "motion synthesis, clip-FID"}
+
+# Cells by block, then by column.
+Numbers = dict[str, dict[str, Cell]]
+
+
+def window_truth(
+    source: PositionCache, windows: Windows, row: int, fps: Fraction
+) -> Float32[np.ndarray, "poses joints 3"]:
+    """A window's own capture at `fps` (not above its native framerate), in the window's frame; metres."""
+    start, count = int(windows.start_row[row]), int(windows.num_frames[row])
+    positions = np.asarray(source.positions[start : start + count])
+    if windows.mirrored[row]:
+        positions = mirror_positions(positions, SMPL22.left_right_pairs)
+    sampled = resample_positions(positions, windows.exact_fps(row), fps)
+    chosen = slice(row, row + 1)
+    return np.asarray(field.to_window(sampled[None], windows.yaw[chosen], windows.origin[chosen])[0])
+
+
+def has_truth(windows: Windows, fps: Fraction) -> Bool[np.ndarray, "windows"]:
+    """Which windows were captured at `fps` or faster."""
+    return np.asarray(windows.fps >= float(fps) - 1e-6)
+
+
+def separate_windows(windows: Windows) -> Int64[np.ndarray, "chosen"]:
+    """Rows of windows that do not overlap and are not mirrored: each sequence's first, then the next free one, …"""
+    originals = np.flatnonzero(~windows.mirrored)
+    order = originals[np.lexsort((windows.start_frame[originals], windows.sequence_index[originals]))]
+    chosen: list[int] = []
+    free_from: dict[int, int] = defaultdict(int)
+    for row in order.tolist():
+        sequence, start = int(windows.sequence_index[row]), int(windows.start_frame[row])
+        # Neighbours share the frame at which one ends and the next begins.
+        if start >= free_from[sequence]:
+            chosen.append(row)
+            free_from[sequence] = start + int(windows.num_frames[row]) - 1
+    return np.array(chosen, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class WindowErrors:
+    """Root-aligned and global MPJPE in millimetres; MRE and mean distance of `native` vectors in their raw units."""
+
+    aligned_mm: float
+    global_mm: float
+    mre: float
+    vector_distance: float
+    seconds: float
+
+
+def window_errors(
+    decoded: Float32[np.ndarray, "poses joints 3"],
+    truth: Float32[np.ndarray, "poses joints 3"],
+    fps: Fraction,
+    seconds: float,
+) -> WindowErrors:
+    """The errors of one window of some seconds, decoded at `fps`; both in the window's frame, metres."""
+    positions = 1000.0 * mpjpe_root_aligned(decoded, truth), 1000.0 * mpjpe_global(decoded, truth)
+    found, expected = vectors(decoded, "smpl22", fps), vectors(truth, "smpl22", fps)
+    return WindowErrors(*positions, mre(found, expected), mean_vector_distance(found, expected), seconds)
+
+
+def error_cells(windows: Sequence[WindowErrors]) -> dict[str, Cell]:
+    """MPJPE in millimetres and MRE by metric, windows weighing by duration."""
+    *errors, seconds = np.array([astuple(window) for window in windows]).T
+    aligned, whole, vector, distance = (float(np.average(each, weights=seconds)) for each in errors)
+    return {
+        "mpjpe": Cell(aligned, None, {GLOBAL: whole, COUNT: float(len(windows))}),
+        "mre": Cell(vector, None, {DISTANCE: distance}),
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstructed:
+    """Windows of a source, each with a model's reconstruction: a motion field in the window's own frame."""
+
+    source: PositionCache
+    windows: Windows
+    fields: Sequence[MotionField]
+    described: str
+
+    def errors(self, fps: Fraction) -> dict[int, WindowErrors]:
+        """The errors at a framerate by the window's row; windows without a ground truth have none."""
+        found = {}
+        for row in np.flatnonzero(has_truth(self.windows, fps)).tolist():
+            truth = window_truth(self.source, self.windows, row, fps)
+            decoded = to_motion(self.fields[row], fps).joint_positions[:, : truth.shape[1]]
+            found[row] = window_errors(decoded, truth, fps, float(self.windows.duration_seconds[row]))
+        return found
+
+
+def reconstructed_windows(
+    encoder: ReconstructsWindows, store: Store, config: EvalConfig, rates: Sequence[Fraction]
+) -> dict[str, Reconstructed]:
+    """Samples of the windows that an encoder was trained on, and of another split's if there are any.
+
+    Of each at most `MOST_WINDOWS` random ones; those fast enough for all framerates come first.
+    """
+    sources = {TRAINING: encoder.training_windows(store)}
+    with config.missing.skipping(HELD_OUT, (UsageError,)):
+        if config.split in ("all", "train"):
+            raise UsageError(f"split {config.split!r} holds training windows; name another (--split test)")
+        sources[HELD_OUT] = encoder.other_windows(store, config.condition)
+    found = {}
+    for name, each in sources.items():
+        shuffled = np.random.default_rng(config.seed).permutation(separate_windows(each.windows))
+        fast = has_truth(each.windows, max(rates))[shuffled]
+        first_fast = np.concatenate((shuffled[fast], shuffled[~fast]))
+        rows = np.sort(first_fast[: min(MOST_WINDOWS, config.max_motions)])
+        found[name] = Reconstructed(each.source, each.windows.select(rows), each.fields(rows), each.described)
+    return found
+
+
+def reconstruction(config: EvalConfig, store: Store) -> Content:
+    """MPJPE and MRE of training and of held-out windows by framerate.
+
+    Raises `UsageError` without a run or with a run of another store, and as loading the run.
+    """
+    if config.run is None:
+        raise UsageError("table 4 needs a trained model that reconstructs windows of motion: --run NAME")
+    rates = config.fps or COLUMNS
+    rows: dict[str, list[Row]] = {title: [] for title in TABLE_4_BLOCKS}
+    for name, trained in trained_reconstructors(config.run).items():
+        for which, sample in reconstructed_windows(reconstructor(trained, store), store, config, rates).items():
+            row = f"{name}: {which}, {sample.described}"
+            errors = {fps: sample.errors(fps) for fps in rates}
+            config.missing.add(*(f"{row}, {label(fps)}: no take is that fast" for fps in rates if not errors[fps]))
+            for title, (metric, same) in TABLE_4_BLOCKS.items():
+                counted = errors[max(rates) if same else min(rates)].keys()
+                chosen = {fps: [each for index, each in errors[fps].items() if index in counted] for fps in rates}
+                cells = {label(fps): error_cells(each)[metric] for fps, each in chosen.items() if each}
+                rows[title] += [Row(row, "ours", cells)] if cells else []
+    same_takes, every_take, mre_blocks = (
+        Block(title, tuple(map(label, rates)), tuple(rows[title]), metrics=(MEASURES[metric],))
+        for title, (metric, _) in TABLE_4_BLOCKS.items()
+    )
+    printed_mpjpe, printed_mre = (
+        printed_block(
+            f"{title} printed in the NeRM paper (HumanML3D{units})",
+            [figure for figure in reported_figures("nerm", "4") if figure.metric == metric],
+            lambda figure: label(figure.setting),
+            factor=factor,
+            note="100 sequences of another data set; the paper does not say if they were trained on.",
+        )
+        for title, metric, units, factor in (
+            ("MPJPE", "mpjpe_m", "; metres there, millimetres here", 1000.0),
+            ("MRE", "mre", "", 1.0),
+        )
+    )
+    return Content(
+        caption=(
+            "Root-aligned mean per-joint position error in millimetres over 22 joints, windows weighing by duration. "
+            f"Held-out windows are of {config.real}."
+        ),
+        blocks=(same_takes, every_take, printed_mpjpe, mre_blocks, printed_mre),
+        definition={"most_windows": MOST_WINDOWS, "held_out_sequences": config.condition},
+    )
+
+
+def ablated(ablation: Ablation, config: EvalConfig, store: Store) -> Content:
+    """The table of an ablation from its runs.
+
+    Raises `UsageError` without a run's name, or if none of the table's runs is trained.
+    """
+    encoder, model = encoder_loader(NERM.paper), model_loader(NERM.paper)
+    runs = NERM.trained_runs(ablation.table, config.run, encoder.stages[-1])
+    assert config.run is not None
+    command = NERM.command(ablation.table, config.run)
+    rates = config.fps or COLUMNS
+    folders = list(dict.fromkeys(run for by_seed in runs.values() for run in by_seed.values()))
+    generating = [run for run in folders if model.complete_in(run.path)] if model.stages[-1] in ablation.stages else []
+    yardstick = Yardstick.of(store, config, rates) if generating else None
+    numbers: dict[RunFolder, Numbers] = {}
+    for run in tracked(config.on_progress, "measuring runs", folders, len(folders)):
+        numbers[run] = {}
+        with config.missing.skipping(run.path.name):
+            numbers[run] |= _reconstruction(Trained(encoder, run.path), store, config)
+            if yardstick is not None and run in generating:
+                loaded = Trained(model, run.path).loaded
+                fields = generate_fields(loaded, yardstick.windows(loaded), config.seed, config.max_motions)
+                row = RowId(f"{loaded.name} of run {run.path.name!r}")
+                numbers[run][SYNTHESIS] = yardstick.clip_fid(row, yardstick.sets(row, fields))
+    blocks = []
+    for title, (_, metric) in ABLATION_BLOCKS.items():
+        rows = []
+        for entry in ablation.entries:
+            trained = [run for run in runs[entry.name].values() if title != SYNTHESIS or run in generating]
+            steps = sorted({run.stage(encoder.stages[-1]).effort().get("steps", "?") for run in trained})
+            note = f"field of {' or '.join(steps)} steps" + (f", {len(trained)} seeds" if len(trained) > 1 else "")
+            if not trained:
+                note = f"not trained: {command} --only {entry.variant.name}"
+            cells = _mean([numbers[run][title] for run in trained if title in numbers[run]])
+            rows.append(Row(entry.label, "ours", cells, note))
+        if any(row.cells for row in rows):
+            floors = yardstick.floor_rows() if title == SYNTHESIS and yardstick is not None else []
+            blocks.append(Block(title, tuple(map(label, rates)), (*floors, *rows), metrics=(MEASURES[metric],)))
+    if model.stages[-1] in ablation.stages and not generating:
+        config.missing.add(f"clip-FID: no {model.stages[-1]} is trained ({command})")
+    printed = _printed(ablation.table)
+    return Content(
+        caption=(
+            "What one setting does to the first stage's reconstructions and to generated motion. 'global' is the "
+            f"paper's layout of z, 'local' ours. Compared with {config.real}; clip-FID as in Table 2."
+        ),
+        blocks=(*blocks, *printed),
+        definition={"rows": {entry.label: list(entry.variant.change) for entry in ablation.entries}},
+        notes=() if printed else ("The paper's figures of this table are illegible in our copy, or it has none.",),
+        runs=tuple(run.path for run in folders),
+        provenance={
+            "runs": {run.path.name: {name: run.stage(name).effort() for name in model.stages} for run in folders}
+        },
+    )
+
+
+def _reconstruction(trained: Trained[Any], store: Store, config: EvalConfig) -> Numbers:
+    """Errors of an encoder's training windows, from their trained latents, and of held-out windows."""
+    rates, found = config.fps or COLUMNS, Numbers()
+    samples = reconstructed_windows(reconstructor(trained, store), store, config, rates)
+    for which, sample in samples.items():
+        for fps in rates:
+            errors = list(sample.errors(fps).values())
+            if not errors:
+                config.missing.add(f"{which}, {label(fps)}: no take is that fast")
+                continue
+            for title, (windows, metric) in ABLATION_BLOCKS.items():
+                if windows == which:
+                    found.setdefault(title, {})[label(fps)] = error_cells(errors)[metric]
+    return found
+
+
+def _mean(of_seeds: Sequence[Mapping[str, Cell]]) -> dict[str, Cell]:
+    """The mean over seeds of each column; one seed's numbers as they are."""
+    if len(of_seeds) == 1:
+        return dict(of_seeds[0])
+    found = {}
+    for column in dict.fromkeys(column for cells in of_seeds for column in cells):
+        values = [cells[column].value for cells in of_seeds if column in cells]
+        found[column] = Cell(sum(values) / len(values), None, {LOWEST: min(values), HIGHEST: max(values)})
+    return found
+
+
+def _printed(table: str) -> list[Block]:
+    """The paper's own figures in its own units: MRE, and clip-FID by its own evaluator."""
+    figures = [figure for figure in reported_figures("nerm", table) if figure.value is not None]
+    blocks = [
+        printed_block(
+            f"Printed in the NeRM paper (HumanML3D): {title}",
+            [figure for figure in figures if figure.metric == metric],
+            lambda figure: label(figure.setting.partition(";")[0]),
+            name=lambda figure: figure.setting.partition(";")[2].replace("=", " = ") or figure.method,
+            note=f"100 sequences of another data set, trained for far longer. Source: {SOURCES['nerm']}.",
+        )
+        for metric, title in PRINTED.items()
+    ]
+    return [block for block in blocks if block.rows]
+
+
+TABLE_4 = Table(
+    *("nerm", "4", "reconstruction MPJPE and MRE by framerate", "reconstruction/2", reconstruction),
+    heading="Table 4: reconstruction by framerate",
+    takes_samples=False,
+    shown=partial(installed_encoders, "reconstruction"),
+)
+ABLATIONS = {
+    name: Table(
+        *("nerm", name, ablation.title, "ablation/1", partial(ablated, ablation)),
+        heading="" if name.isdigit() else f"Ours: {ablation.title}",
+        takes_samples=False,
+    )
+    for name, ablation in NERM.tables.items()
+}
+TABLE_5, TABLE_6, TABLE_7, TABLE_8, TABLE_9 = (ABLATIONS[number] for number in "56789")
+TABLE_OURS = ABLATIONS["ours"]
