@@ -19,18 +19,22 @@ from motionkit.generate.models import SamplingOptions
 from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
 from motionkit.training.config import from_plain, to_plain
-from motionkit.training.devices import ALONE, Ranks, autocast, resolve_device, with_precision_of
 from motionkit.training.loop import (
+    ALONE,
     Learner,
+    Ranks,
+    autocast,
     dropout_from,
     load_tensors,
     prefixed,
     rebuilding,
+    resolve_device,
     run_training,
     save_tensors,
     seeded_initialisation,
     step_generator,
     unprefixed,
+    with_precision_of,
 )
 from motionkit.training.networks import (
     Adjust,

@@ -29,8 +29,7 @@ from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
 from motionkit.fields.motion_field import Poses, check_times
 from motionkit.training.config import from_plain, to_plain
-from motionkit.training.devices import resolve_device
-from motionkit.training.loop import load_tensors, prefixed, rebuilding, save_tensors, unprefixed
+from motionkit.training.loop import load_tensors, prefixed, rebuilding, resolve_device, save_tensors, unprefixed
 from motionkit.training.networks import VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunFolder, StageFolder
 from nerm.latents import Bank, LocalLatents, local_latents, relative_to

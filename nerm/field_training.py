@@ -33,15 +33,20 @@ from motionkit.data.windows import (
 from motionkit.features.convention import PoseVectors
 from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
-from motionkit.training.devices import ALONE, DealtRows, Ranks, autocast, resolve_device, with_precision_of
 from motionkit.training.loop import (
+    ALONE,
     CheckpointError,
+    DealtRows,
     Learner,
+    Ranks,
+    autocast,
     load_tensors,
     prefixed,
+    resolve_device,
     run_training,
     seeded_initialisation,
     step_generator,
+    with_precision_of,
 )
 from motionkit.training.networks import kl_divergence, measure_scaling
 from motionkit.training.run import RunError, RunFolder, StageContext
@@ -372,11 +377,11 @@ def labels_at(
 
 def contact_rows(cache: PositionCache) -> Float32[np.ndarray, "total_frames 4"]:
     """Contact labels (1 or 0) of the foot joints for every row of the position cache, cached beside it."""
+    from motionkit.fields.contact.bones import legs_of
     from motionkit.fields.contact.detection import (  # deferred: no field without contacts needs it
         find_contacts,
         ground_of,
     )
-    from motionkit.fields.contact.legs import legs_of
 
     def compute() -> Iterator[Float32[np.ndarray, "frames 4"]]:
         legs = legs_of(SMPL22)

@@ -27,13 +27,12 @@ from motionkit.features.convention import PoseVectors
 from motionkit.features.layout import SMPL22_LAYOUT
 from motionkit.features.rotations import RotationVectors
 from motionkit.fields.assembly import laid
-from motionkit.fields.contact.bones import Bones
+from motionkit.fields.contact.bones import Bones, Legs, legs_of
 from motionkit.fields.contact.detection import find_contacts, ground_of
-from motionkit.fields.contact.legs import Legs, legs_of
 from motionkit.fields.motion_field import DerivedField, MotionField, Poses, at_fps
 from motionkit.generate.constraints import KINDS, Constraint, ConstraintKind
 from motionkit.generate.models import GenerationRequest, SamplingOptions, check_constraints
-from motionkit.training.devices import resolve_device
+from motionkit.training.loop import resolve_device
 from motionkit.training.networks import Conditions
 from motionkit.training.run import RunError, RunFolder
 from motionkit.training.text import TextEncoder, load_same_encoder

@@ -24,19 +24,21 @@ from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField
 from motionkit.fields.motion_field import MotionField, Observation
 from motionkit.generate.models import GenerationRequest, SamplingOptions
 from motionkit.training.config import DiffusionConfig, Precision, Schedule, from_plain, specialised, to_plain
-from motionkit.training.devices import autocast, resolve_device, with_precision_of
 from motionkit.training.loop import (
     CheckpointError,
     Learner,
+    autocast,
     dropout_from,
     load_tensors,
     prefixed,
     rebuilding,
+    resolve_device,
     run_training,
     save_tensors,
     seeded_initialisation,
     step_generator,
     unprefixed,
+    with_precision_of,
 )
 from motionkit.training.networks import Conditions, ConditionSizes, VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunError, RunFolder, Stage, StageContext

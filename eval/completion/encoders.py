@@ -16,9 +16,9 @@ from motionkit.core.shapes import Float64
 from motionkit.edit.encoders import encoder_loader, installed_encoders, runs_with
 from motionkit.features.rotations import two_columns
 from motionkit.fields.interpolation import INTERPOLATORS, CurveKind, curve
-from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import (
     BatchEncoder,
+    Joints,
     MotionEncoder,
     Observation,
     Poses,

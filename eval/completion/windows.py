@@ -22,8 +22,7 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotations import heading, to_window
 from motionkit.fields.motion_field import Observation, Poses
 from motionkit.io import bvh_data_sets
-from motionkit.store.reader import Store
-from motionkit.store.sql import conjunction
+from motionkit.store.reader import Store, conjunction
 
 INBETWEENING_VERSION, EXTRAPOLATION_VERSION = "inbetweening/1", "extrapolation/1"
 FPS = Fraction(30)

@@ -12,7 +12,7 @@ import numpy as np
 
 from eval.sets.motions import low_pass
 from eval.sets.sets import SampleSet
-from motionkit.core.mirror import mirror_positions
+from motionkit.core.motion import mirror_positions
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.features.field import heading

@@ -17,16 +17,14 @@ from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import at_origin, facing_forward, on_floor
-from motionkit.fields.completion import upsample
 from motionkit.fields.contact.planted import planted, planted_frames
 from motionkit.fields.detail import Detail, detailed
 from motionkit.fields.interpolation import InterpolatedField
 from motionkit.fields.motion_field import MotionField, Observation, to_motion
-from motionkit.fields.resample import resample_positions
+from motionkit.fields.resample import resample_positions, upsample
 from motionkit.generate.models import ChecksRequests, GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.store.cache import open_cache
-from motionkit.store.reader import Store
-from motionkit.store.sql import conjunction
+from motionkit.store.reader import Store, conjunction
 
 
 class NoRealMotionError(MotionkitError):

@@ -19,7 +19,7 @@ from eval.sets.motions import real_motion
 from eval.sets.sets import SampleSet
 from eval.tables.systems import COLUMNS
 from eval.tables.table import Content, EvalConfig, Table
-from motionkit.core.mirror import mirror_positions
+from motionkit.core.motion import mirror_positions
 from motionkit.core.progress import task
 from motionkit.core.skeleton import SMPL22
 from motionkit.store.reader import Store

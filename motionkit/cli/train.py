@@ -25,7 +25,7 @@ from motionkit.core import plugins
 from motionkit.core.errors import MissingExtraError, UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import ignore, task
-from motionkit.store.sql import conjunction
+from motionkit.store.reader import conjunction
 from motionkit.training.config import (
     apply_overrides,
     flatten,
@@ -200,8 +200,7 @@ def train_all(
 ) -> list[dict[str, Any]] | None:
     """Train jobs in order; returns their summaries, on the first rank only. With a title, show one bar for all."""
     from motionkit.store.commit import read_manifest
-    from motionkit.training.devices import joined_ranks, resolve_device
-    from motionkit.training.loop import one_thread
+    from motionkit.training.loop import joined_ranks, one_thread, resolve_device
 
     fingerprint = read_manifest(context.store).fingerprint
     is_timed = any(job.budget_seconds is not None for job in jobs) and resolve_device(context.device).type != "cuda"

@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from motionkit.core.errors import UsageError
-from motionkit.core.mirror import mirror_positions
+from motionkit.core.motion import mirror_positions
 from motionkit.core.shapes import Bool, Float32, Float64, Int, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features import field, native
@@ -21,8 +21,7 @@ from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
 from motionkit.features.rotations import RotationVectors, begins_as_smpl, mean_rig
 from motionkit.store.cache import PositionCache, open_cache
-from motionkit.store.reader import Store
-from motionkit.store.sql import conjunction
+from motionkit.store.reader import Store, conjunction
 
 
 @dataclass(frozen=True, eq=False)

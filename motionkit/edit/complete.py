@@ -25,8 +25,8 @@ from motionkit.edit.motions import (
     write_edited,
 )
 from motionkit.fields.anchoring import anchored
-from motionkit.fields.completion import begin_completion
 from motionkit.fields.contact.planted import planted
+from motionkit.fields.resample import begin_completion
 from motionkit.fields.rig import on_bones
 from motionkit.io.bvh import KnownFrames
 

@@ -17,8 +17,8 @@ from motionkit.edit.motions import (
     load_motion,
     write_edited,
 )
-from motionkit.fields.contact.correction import Path as BodyPath
 from motionkit.fields.contact.detection import runs
+from motionkit.fields.contact.planted import Path as BodyPath
 from motionkit.fields.contact.planted import Planting, planted_frames
 from motionkit.io.bvh import KnownFrames
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motionkit.core.mirror import mirror_positions
+from motionkit.core.motion import mirror_positions
 from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.convention import Instants, InstantVectors, Origin, Values, Vectors, Weight, Yaw

@@ -12,8 +12,16 @@ from functools import cache
 import numpy as np
 
 from motionkit.core.shapes import Float, Float32, Float64
-from motionkit.features.bones import BoneTree, bone_tree, rotations_6d
-from motionkit.features.layout import PoseLayout, facing_direction, pose_layout, smooth, to_z_half_angle
+from motionkit.features.layout import (
+    BoneTree,
+    PoseLayout,
+    bone_tree,
+    facing_direction,
+    pose_layout,
+    rotations_6d,
+    smooth,
+    to_z_half_angle,
+)
 from motionkit.features.native import fill_joint_velocities, fill_positions, turn
 from motionkit.io.humanml3d import recover_positions
 

@@ -13,14 +13,22 @@ from functools import lru_cache
 
 import numpy as np
 
-from motionkit.core.mirror import exchanged
+from motionkit.core.motion import exchanged
 from motionkit.core.shapes import Float, Float32, Float64, Int
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.features import field
-from motionkit.features.bones import bone_tree, rotations_6d
 from motionkit.features.convention import Instants, InstantVectors, Origin, Values, Vectors, Weight, Yaw
-from motionkit.features.layout import SMPL22_LAYOUT, PoseLayout, VectorLayout, pose_layout, smooth, to_z_half_angle
+from motionkit.features.layout import (
+    SMPL22_LAYOUT,
+    PoseLayout,
+    VectorLayout,
+    bone_tree,
+    pose_layout,
+    rotations_6d,
+    smooth,
+    to_z_half_angle,
+)
 from motionkit.fields.motion_field import Poses, Times
 
 Joints = Float32[np.ndarray, "3 joints rows"]

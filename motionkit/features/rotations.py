@@ -15,15 +15,13 @@ import numpy as np
 
 from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
-from motionkit.core.mirror import FLIP, TURN_BACK, exchanged
-from motionkit.core.motion import Motion
+from motionkit.core.motion import FLIP, TURN_BACK, Motion, exchanged
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import field
 from motionkit.features.convention import Instants, InstantVectors, Origin, Values, Vectors, Weight, Yaw
-from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import Poses, Times
+from motionkit.fields.motion_field import Joints, Poses, Times
 
 Rows = Float[np.ndarray, "windows poses numbers"]
 

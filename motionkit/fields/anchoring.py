@@ -14,9 +14,9 @@ from motionkit.core.kinematics import (
 )
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
-from motionkit.fields.joints import Joints
 from motionkit.fields.motion_field import (
     DerivedField,
+    Joints,
     MotionEncoder,
     MotionField,
     Observation,

@@ -15,8 +15,7 @@ import numpy as np
 from motionkit.core.kinematics import quaternion_multiply, quaternion_rotate, quaternion_slerp
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import Skeleton
-from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import MotionField, Poses, Times, at_fps, check_times, contacts_of
+from motionkit.fields.motion_field import Joints, MotionField, Poses, Times, at_fps, check_times, contacts_of
 
 SHORTEST_OVERLAP_SECONDS = 1e-3
 _TIMES_TO_FIT = 16

@@ -16,8 +16,15 @@ from motionkit.core.errors import UsageError
 from motionkit.core.kinematics import quaternion_between, quaternion_rotate, rotation_vector_to_quaternion
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.fields.joints import turned_rotations
-from motionkit.fields.motion_field import MotionField, Poses, Times, at_fps, check_times, query_in_blocks
+from motionkit.fields.motion_field import (
+    MotionField,
+    Poses,
+    Times,
+    at_fps,
+    check_times,
+    query_in_blocks,
+    turned_rotations,
+)
 from motionkit.fields.resample import kernel_matrix, kernel_shape
 
 GRID_FPS = 120

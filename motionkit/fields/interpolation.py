@@ -27,9 +27,9 @@ from motionkit.core.kinematics import (
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float64, Int
 from motionkit.core.skeleton import Skeleton
-from motionkit.fields.joints import Joints, with_rotations
 from motionkit.fields.motion_field import (
     DerivedField,
+    Joints,
     Observation,
     Poses,
     Times,
@@ -37,6 +37,7 @@ from motionkit.fields.motion_field import (
     check_times,
     continuous_rotations,
     query_in_blocks,
+    with_rotations,
 )
 
 if TYPE_CHECKING:

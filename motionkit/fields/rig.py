@@ -21,8 +21,7 @@ from motionkit.core.kinematics import (
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.interpolation import INTERPOLATORS, Settling
-from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import DerivedField, MotionField, Observation, Poses, Times, at_fps
+from motionkit.fields.motion_field import DerivedField, Joints, MotionField, Observation, Poses, Times, at_fps
 
 _FRAMES_TO_ESTIMATE_FROM = 500
 _MOVING_METRES, _TURNING = 1e-4, 1e-6

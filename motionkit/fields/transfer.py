@@ -22,9 +22,9 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import joint_map, map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation import INTERPOLATORS
-from motionkit.fields.joints import Joints, with_rotations
 from motionkit.fields.motion_field import (
     DerivedField,
+    Joints,
     MotionEncoder,
     MotionField,
     Observation,
@@ -32,6 +32,7 @@ from motionkit.fields.motion_field import (
     Times,
     at_fps,
     query_in_blocks,
+    with_rotations,
 )
 from motionkit.fields.rig import Rig
 

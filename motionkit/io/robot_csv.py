@@ -18,8 +18,8 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
+from motionkit.fields.contact.bones import legs_of
 from motionkit.fields.contact.detection import find_contacts, ground_of
-from motionkit.fields.contact.legs import legs_of
 from motionkit.io.registry import Format
 from motionkit.io.retargeting import retarget
 from motionkit.io.smpl_body import mean_shape_skeleton, rests_as_smpl

@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING
 
 from motionkit.core.errors import FormatError, UsageError, shown
 from motionkit.core.files import LONGEST_TOML, is_store, parse_toml, read_at_most
-from motionkit.core.mirror import mirror
-from motionkit.core.motion import Motion, captions_within
+from motionkit.core.motion import Motion, captions_within, mirror
 from motionkit.core.skeletons.mapping import with_layout_map
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io.annotations import AnnotationTable, annotated, read_annotations, tables_in

@@ -15,7 +15,6 @@ import torch
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotations import PoseRows, num_features, poses_of, rows_of_poses
-from motionkit.fields.joints import with_rotations
 from motionkit.fields.motion_field import (
     Observation,
     Poses,
@@ -23,6 +22,7 @@ from motionkit.fields.motion_field import (
     check_times,
     continuous_rotations,
     query_in_blocks,
+    with_rotations,
 )
 from pahires.temporal.base_curves import WindowFrames
 from pahires.temporal.network import ObservedWindow

@@ -12,12 +12,12 @@ from motionkit.data.rotation_sequences import RotationSequences, open_rotation_s
 from motionkit.store.reader import Store
 from motionkit.store.schema import skeleton_from_row, skeleton_row
 from motionkit.training.config import from_plain, to_plain
-from motionkit.training.devices import resolve_device
 from motionkit.training.loop import (
     CheckpointError,
     load_tensors,
     prefixed,
     rebuilding,
+    resolve_device,
     run_training,
     save_tensors,
     seeded_initialisation,

@@ -8,8 +8,7 @@ import torch
 
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Skeleton
-from motionkit.training.devices import autocast
-from motionkit.training.loop import Learner, dropout_from
+from motionkit.training.loop import Learner, autocast, dropout_from
 from pahires.temporal.base_curves import interpolated
 from pahires.temporal.prediction import Predictor
 from pahires.temporal.settings import Distance, TemporalSettings

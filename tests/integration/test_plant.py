@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from motionkit.core.motion import Motion
-from motionkit.fields.contact.legs import legs_of
+from motionkit.fields.contact.bones import legs_of
 from motionkit.io.bvh import read_bvh, write_bvh
 from motionkit.io.npz import read_npz, write_npz
 from motionkit.store import Store, StoreWriter

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from motionkit.training import devices, loop
+from motionkit.training import loop
 from motionkit.training.loop import step_generator
 from motionkit.training.run import RunError, RunFolder, StageFolder
 from tests.helpers.tiny import NERM, STAGES, train_stage, write_store
@@ -92,7 +92,7 @@ def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(
     store: Path, run: Path, other_run: Callable[[str], StageFolder], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = other_run("field")
-    monkeypatch.setattr(devices, "has_bfloat16", lambda device: True)
+    monkeypatch.setattr(loop, "has_bfloat16", lambda device: True)
     asked = replace(NERM, field=replace(NERM.field, precision="auto"))
     monkeypatch.setitem(STAGES, "field", (STAGES["field"][0], asked))
     train_stage("field", store, folder.path.parent)
@@ -100,6 +100,6 @@ def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(
     (_, found), (_, expected) = figures(folder), figures(RunFolder(run).stage("field"))
     assert found != expected
     assert found["reconstruction"] == pytest.approx(expected["reconstruction"], rel=0.2)
-    monkeypatch.setattr(devices, "has_bfloat16", lambda device: False)
+    monkeypatch.setattr(loop, "has_bfloat16", lambda device: False)
     with pytest.raises(RunError, match=r"field.precision 'bfloat16' → 'float32'"):
         train_stage("field", store, folder.path.parent, resume=True)

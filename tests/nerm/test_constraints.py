@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from motionkit.core.skeleton import SMPL22
-from motionkit.fields.contact.legs import legs_of
+from motionkit.fields.contact.bones import legs_of
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.constraints import Constraint
 from nerm.model import ConstraintCost, FootSliding, Search

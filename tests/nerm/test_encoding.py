@@ -11,8 +11,8 @@ from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
 from motionkit.features.field import FIELD_VECTORS
-from motionkit.fields.completion import complete
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, to_motion
+from motionkit.fields.resample import complete
 from nerm.encoding import NermEncoder, encode_by_optimisation, minimise_each
 from nerm.field import PoseTensors, TrainedField
 from nerm.field_training import FieldTraining

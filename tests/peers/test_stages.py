@@ -17,8 +17,8 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.edit.encoders import encoder_loader
 from motionkit.features import native
-from motionkit.fields.completion import complete, upsample
 from motionkit.fields.motion_field import Observation
+from motionkit.fields.resample import complete, upsample
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, load_model
 from motionkit.store.reader import Store
 from motionkit.training import loop

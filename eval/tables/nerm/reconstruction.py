@@ -22,7 +22,7 @@ from eval.sets.sets import RowId
 from eval.tables.systems import COLUMNS, Trained, Yardstick, label, reconstructor, trained_reconstructors
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
 from motionkit.core.errors import UsageError
-from motionkit.core.mirror import mirror_positions
+from motionkit.core.motion import mirror_positions
 from motionkit.core.progress import tracked
 from motionkit.core.shapes import Bool, Float32, Int64
 from motionkit.core.skeleton import SMPL22

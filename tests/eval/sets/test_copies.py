@@ -11,7 +11,7 @@ from eval.sets.damage import jitter, upsample_slerp, with_bones_of
 from eval.sets.motions import low_pass
 from eval.sets.sets import RowId, SampleSet, sample_set
 from eval.tables.nerm.table2 import COPIED, HELD_OUT, copies_block
-from motionkit.core.mirror import mirror_positions
+from motionkit.core.motion import mirror_positions
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.fields.resample import resample_positions

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from motionkit.core.kinematics import forward_kinematics
-from motionkit.core.mirror import mirror
-from motionkit.core.motion import Motion
+from motionkit.core.motion import Motion, mirror
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 

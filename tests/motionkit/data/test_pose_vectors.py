@@ -9,7 +9,7 @@ import pytest
 
 from eval.tables.nerm.reconstruction import window_truth
 from motionkit.core.errors import UsageError
-from motionkit.core.mirror import mirror_positions
+from motionkit.core.motion import mirror_positions
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.windows import WindowPoses, cut_windows, open_frames, training_rig, training_vectors, with_rotations
 from motionkit.features import field, native

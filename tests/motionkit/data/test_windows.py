@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from motionkit.core.errors import UsageError
-from motionkit.core.mirror import mirror_positions
+from motionkit.core.motion import mirror_positions
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.data.windows import FrameValues, WindowPoses, cut_windows, rows_by_duration, shuffled_batches

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.core import kinematics
-from motionkit.core.mirror import mirror
-from motionkit.core.motion import Motion
+from motionkit.core.motion import Motion, mirror
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, rest_positions
 from motionkit.core.timegrid import TimeGrid

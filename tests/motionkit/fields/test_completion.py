@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.anchoring import Anchored
-from motionkit.fields.completion import complete, upsample
 from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField, Method, interpolate
 from motionkit.fields.motion_field import MotionEncoder, Observation, to_motion
+from motionkit.fields.resample import complete, upsample
 from tests.helpers.observed_errors import observed_errors
 from tests.helpers.turning_body import random_motion
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
-from motionkit.fields.contact import correction
 from motionkit.fields.contact.detection import find_contacts, ground_of
+from motionkit.fields.contact.planted import Path as BodyPath
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import DerivedField, MotionField, to_motion
@@ -30,7 +30,7 @@ def slid(motion: Motion, metres_a_second: float) -> Motion:
     return replace(motion, joint_positions=motion.joint_positions + step[:, None], root_translation=translation)
 
 
-def field_of(motion: Motion, path: correction.Path = "free") -> MotionField:
+def field_of(motion: Motion, path: BodyPath = "free") -> MotionField:
     method = "cubic" if motion.local_rotations is None else "slerp"
     return planted(interpolate(motion, method), path)
 

@@ -11,10 +11,9 @@ from motionkit.core import kinematics
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
-from motionkit.fields.completion import complete
 from motionkit.fields.interpolation import INTERPOLATORS, Interpolator
-from motionkit.fields.joints import Joints
-from motionkit.fields.motion_field import MotionField, Observation, Poses, to_motion
+from motionkit.fields.motion_field import Joints, MotionField, Observation, Poses, to_motion
+from motionkit.fields.resample import complete
 from motionkit.fields.rig import on_bones
 from motionkit.fields.transfer import Transferred, canonical_observation
 from motionkit.io.smpl_body import mean_shape_skeleton

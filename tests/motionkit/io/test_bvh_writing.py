@@ -21,9 +21,9 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.edit.complete import CompletionRequest, complete_file
 from motionkit.edit.encoders import choose_encoder
 from motionkit.edit.motions import MotionSource, OutputPaths, find_motions
-from motionkit.fields.completion import begin_completion
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation
+from motionkit.fields.resample import begin_completion
 from motionkit.fields.rig import on_bones
 from motionkit.io.bvh import (
     BvhDocument,

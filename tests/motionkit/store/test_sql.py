@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 
 from motionkit.core.errors import UsageError
-from motionkit.store.sql import query
+from motionkit.store.reader import query
 
 # Minutes of work.
 LONG = "SELECT count(*) FROM range(100000000) a, range(1000) b WHERE a.range * b.range % 7 = 1"

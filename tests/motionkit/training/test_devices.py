@@ -6,9 +6,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.training import devices
+from motionkit.training import loop
 from motionkit.training.config import Precision
-from motionkit.training.devices import (
+from motionkit.training.loop import (
     DealtRows,
     Ranks,
     autocast,
@@ -28,7 +28,7 @@ class Settings:
 def test_auto_is_bfloat16_only_where_the_processor_has_it(
     found: bool, chosen: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(devices, "has_bfloat16", lambda device: found)
+    monkeypatch.setattr(loop, "has_bfloat16", lambda device: found)
     settings = with_precision_of(Settings(), CPU)
     assert settings == Settings(chosen)  # type: ignore[arg-type]
     assert with_precision_of(Settings("float32"), CPU).precision == "float32"
