@@ -113,6 +113,17 @@ class Skeleton:
                 children[parent].append(child)
         return tuple(map(tuple, children))
 
+    def path_to_root(self, joint: int) -> tuple[int, ...]:
+        """A joint, its parent, and so on up to the root."""
+        path = [joint]
+        while self.parents[path[-1]] >= 0:
+            path.append(self.parents[path[-1]])
+        return tuple(path)
+
+    def subtree(self, joint: int) -> list[int]:
+        """A joint and all joints below it."""
+        return [each for each in range(self.num_joints) if joint in self.path_to_root(each)]
+
 
 def _standard(
     name: str,

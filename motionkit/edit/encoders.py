@@ -12,11 +12,11 @@ from pathlib import Path
 from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.core.skeleton import Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError
+from motionkit.core.skeletons.mapping import SkeletonMapError, counterpart_joints
 from motionkit.fields.anchoring import Anchored
 from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.motion_field import MotionEncoder
-from motionkit.fields.transfer import Transferred, counterpart_joints
+from motionkit.fields.transfer import Transferred
 from motionkit.training.run import Loader, RunFolder, Task, installed_loaders, loader_named
 
 

@@ -10,8 +10,6 @@ local rotations; where the model agrees with the interpolator, nothing changes.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import lru_cache
-from types import MappingProxyType
 
 import numpy as np
 
@@ -19,7 +17,7 @@ from motionkit.core.kinematics import global_rotations, quaternion_conjugate, qu
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import joint_map, map_joints
+from motionkit.core.skeletons.mapping import PELVIS, counterpart_joints, map_joints
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import (
@@ -35,10 +33,6 @@ from motionkit.fields.motion_field import (
     with_rotations,
 )
 from motionkit.fields.rig import Rig
-
-_SMALLEST_WEIGHT = 0.5
-_SPINE = tuple(SMPL22.index(name) for name in ("spine1", "spine2", "spine3"))
-_PELVIS, _LEFT_HIP, _RIGHT_HIP = (SMPL22.index(name) for name in ("pelvis", "left_hip", "right_hip"))
 
 
 @dataclass(frozen=True)
@@ -64,7 +58,7 @@ class Transferred:
         counterparts = counterpart_joints(observation.skeleton)
         own = with_rotations(observation)
         canonical = canonical_observation(observation)
-        moving, above = Rig.of(own).moving, _path_to_root(own.skeleton, counterparts[_PELVIS])
+        moving, above = Rig.of(own).moving, own.skeleton.path_to_root(counterparts[PELVIS])
         reach = {"before_seconds": before_seconds, "after_seconds": after_seconds}
         return _Correction(
             own=self.interpolator.encode(own, **reach),
@@ -124,7 +118,7 @@ class _Correction:
         pelvis = self.counterparts[_PELVIS]
         target = own.joint_positions[:, pelvis] + (model.joint_positions - base.joint_positions)[:, _PELVIS]
         move = (target - turned[:, pelvis])[:, None]
-        carried = np.isin(np.arange(skeleton.num_joints), subtree(skeleton, self.moved_joint))
+        carried = np.isin(np.arange(skeleton.num_joints), skeleton.subtree(self.moved_joint))
         positions = turned + np.where(carried[:, None], move, np.float32(0.0))
         translation = None
         if self.like.root_translation is not None:
@@ -132,30 +126,6 @@ class _Correction:
             translation = own.root_translation + positions[:, 0] - own.joint_positions[:, 0]
         rotations = None if self.like.local_rotations is None else local.astype(np.float32)
         return Poses(positions.astype(np.float32), rotations, translation)
-
-
-@lru_cache(maxsize=64)
-def counterpart_joints(skeleton: Skeleton) -> Mapping[int, int]:
-    """Source joints that correspond to joints of the 22, by the layout's index; raises `SkeletonMapError`.
-
-    A joint of the layout maps to its farthest source from the root, among those of weight 0.5 or more. If several
-    share a source, the last one of the spine gets it, as the arms are attached there, else the one with the largest
-    weight. The pelvis is where the legs meet.
-    """
-    weights = joint_map(skeleton, SMPL22.name).weights
-    wanting: dict[int, list[int]] = {}
-    for joint in range(SMPL22.num_joints):
-        sources = np.flatnonzero(weights[joint] >= _SMALLEST_WEIGHT).tolist()
-        if joint != _PELVIS and sources:
-            wanting.setdefault(max(sources, key=lambda source: len(_path_to_root(skeleton, source))), []).append(joint)
-    counterparts = {}
-    for source, joints in wanting.items():
-        spine = [joint for joint in joints if joint in _SPINE]
-        counterparts[spine[-1] if spine else max(joints, key=lambda joint: float(weights[joint, source]))] = source
-    hips = [_path_to_root(skeleton, counterparts[hip]) for hip in (_LEFT_HIP, _RIGHT_HIP) if hip in counterparts]
-    pelvis = next((joint for joint in hips[0] if all(joint in above for above in hips)), 0) if hips else 0
-    counterparts = {joint: source for joint, source in counterparts.items() if source != pelvis}
-    return MappingProxyType(dict(sorted({**counterparts, _PELVIS: pelvis}.items())))
 
 
 def canonical_observation(observation: Observation) -> Observation:
@@ -171,18 +141,6 @@ def canonical_observation(observation: Observation) -> Observation:
     motion = Motion(poses.joint_positions, observation.skeleton, grid, poses.local_rotations)
     positions = map_joints(motion, SMPL22.name).astype(np.float32)
     return with_rotations(Observation(observation.times_seconds, Poses(positions, None, positions[:, 0]), SMPL22))
-
-
-def _path_to_root(skeleton: Skeleton, joint: int) -> tuple[int, ...]:
-    chain = [joint]
-    while skeleton.parents[chain[-1]] >= 0:
-        chain.append(skeleton.parents[chain[-1]])
-    return tuple(chain)
-
-
-def subtree(skeleton: Skeleton, joint: int) -> list[int]:
-    """A joint and all joints below it."""
-    return [each for each in range(skeleton.num_joints) if joint in _path_to_root(skeleton, each)]
 
 
 def _world(poses: Poses, skeleton: Skeleton) -> Float64[np.ndarray, "times joints 4"]:

@@ -20,8 +20,7 @@ from motionkit.core.files import parse_json, read_at_most
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import MAX_JOINTS, SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError, rest_positions, with_layout_map
-from motionkit.fields.transfer import counterpart_joints
+from motionkit.core.skeletons.mapping import SkeletonMapError, counterpart_joints, rest_positions, with_layout_map
 from motionkit.io.joint_rotations import joint_channels
 from motionkit.io.registry import Format, ReadOptions
 from motionkit.io.source_file import unique_names

@@ -15,10 +15,9 @@ from motionkit.core.errors import MotionkitError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import canonical_names, map_joints, rest_positions
+from motionkit.core.skeletons.mapping import canonical_names, counterpart_joints, map_joints, rest_positions
 from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.contact.bones import Legs, legs_of
-from motionkit.fields.transfer import counterpart_joints
 from motionkit.io.joint_rotations import joint_channels
 from motionkit.io.smpl_body import mean_shape_skeleton
 

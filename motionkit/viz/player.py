@@ -18,9 +18,8 @@ from motionkit.core.files import write_whole
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.shapes import Bool, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError
+from motionkit.core.skeletons.mapping import SkeletonMapError, counterpart_joints
 from motionkit.core.timegrid import TimeGrid
-from motionkit.fields.transfer import counterpart_joints
 from motionkit.io.gltf import joint_sides
 
 Positions = Float32[np.ndarray, "frames joints 3"]

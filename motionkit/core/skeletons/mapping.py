@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,9 @@ MIN_JOINT_WEIGHT = 0.1
 TOES = {"left_foot": ("left_ankle", "left_knee"), "right_foot": ("right_ankle", "right_knee")}
 KEYS = ("name", "source", "requires", "aliases", "units_per_metre", "smpl22")
 REASON = "skeleton-map"
+
+SPINE = tuple(SMPL22.index(name) for name in ("spine1", "spine2", "spine3"))
+PELVIS, LEFT_HIP, RIGHT_HIP = (SMPL22.index(name) for name in ("pelvis", "left_hip", "right_hip"))
 
 Way = Mapping[str, float]
 
@@ -317,6 +321,30 @@ def joint_map(skeleton: Skeleton, layout: str) -> JointMap:
         return body
     via = _kit21_from_smpl22()
     return JointMap(body.family, via @ body.weights, via @ body.tip_weights, body.made_up)
+
+
+@lru_cache(maxsize=64)
+def counterpart_joints(skeleton: Skeleton) -> Mapping[int, int]:
+    """Source joints that correspond to joints of the 22, by the layout's index; raises `SkeletonMapError`.
+
+    A joint of the layout maps to its farthest source from the root, among those of weight 0.5 or more. If several
+    share a source, the last one of the spine gets it, as the arms are attached there, else the one with the largest
+    weight. The pelvis is where the legs meet.
+    """
+    weights = joint_map(skeleton, SMPL22.name).weights
+    wanting: dict[int, list[int]] = {}
+    for joint in range(SMPL22.num_joints):
+        sources = np.flatnonzero(weights[joint] >= 0.5).tolist()
+        if joint != PELVIS and sources:
+            wanting.setdefault(max(sources, key=lambda source: len(skeleton.path_to_root(source))), []).append(joint)
+    counterparts = {}
+    for source, joints in wanting.items():
+        spine = [joint for joint in joints if joint in SPINE]
+        counterparts[spine[-1] if spine else max(joints, key=lambda joint: float(weights[joint, source]))] = source
+    hips = [skeleton.path_to_root(counterparts[hip]) for hip in (LEFT_HIP, RIGHT_HIP) if hip in counterparts]
+    pelvis = next((joint for joint in hips[0] if all(joint in above for above in hips)), 0) if hips else 0
+    counterparts = {joint: source for joint, source in counterparts.items() if source != pelvis}
+    return MappingProxyType(dict(sorted({**counterparts, PELVIS: pelvis}.items())))
 
 
 def family_unit_metres(skeleton: Skeleton) -> float | None:

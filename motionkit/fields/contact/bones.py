@@ -20,8 +20,7 @@ from motionkit.core.kinematics import (
 )
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError
-from motionkit.fields.transfer import counterpart_joints, subtree
+from motionkit.core.skeletons.mapping import SkeletonMapError, counterpart_joints
 
 Vectors = Float64[np.ndarray, "frames 3"]
 
@@ -83,7 +82,7 @@ def _leg(skeleton: Skeleton, own: dict[str, int], side: str) -> Leg:
     if missing:
         raise SkeletonMapError(skeleton, SMPL22.name, missing)
     hip, knee, ankle = (own[name] for name in names)
-    below = {joint: set(subtree(skeleton, joint)) - {joint} for joint in (hip, knee, ankle)}
+    below = {joint: set(skeleton.subtree(joint)) - {joint} for joint in (hip, knee, ankle)}
     if knee not in below[hip] or ankle not in below[knee]:
         raise SkeletonMapError(skeleton, SMPL22.name, tuple(names))
     toe = own.get(f"{side}_foot", ankle)
