@@ -115,8 +115,8 @@ class _Correction:
                 local[:, joint] = after[:, joint]
         local /= np.linalg.norm(local, axis=-1, keepdims=True)
         turned = Joints(local, joints.bones, joints.root).positions(skeleton)
-        pelvis = self.counterparts[_PELVIS]
-        target = own.joint_positions[:, pelvis] + (model.joint_positions - base.joint_positions)[:, _PELVIS]
+        pelvis = self.counterparts[PELVIS]
+        target = own.joint_positions[:, pelvis] + (model.joint_positions - base.joint_positions)[:, PELVIS]
         move = (target - turned[:, pelvis])[:, None]
         carried = np.isin(np.arange(skeleton.num_joints), skeleton.subtree(self.moved_joint))
         positions = turned + np.where(carried[:, None], move, np.float32(0.0))
