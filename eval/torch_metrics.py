@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 
 from eval.clip_fid.score import KINEMATIC, Comparison, Motions, Protocol, samples_of
-from eval.metrics.metric import MeanSums
 from eval.metrics.registry import find_metric
 from eval.metrics.retrieval import REFERENCE_POOL, r_precision
 from motionkit.core.errors import MissingExtraError
@@ -30,19 +29,11 @@ from torchmetrics.utilities import dim_zero_cat
 
 
 def array_of(values: Tensor | npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Values as an array; half-precision types, which numpy lacks in part, become float32, exactly."""
-    if not isinstance(values, Tensor):
-        return np.asarray(values)
-    if values.is_floating_point() and values.dtype not in (torch.float32, torch.float64):
-        values = values.float()
-    return np.asarray(values.detach().cpu().numpy())
-
-
-def rows_of(state: list[Tensor] | Tensor) -> npt.NDArray[Any]:
-    """All rows of a list state, including those of other processes. Raises `ValueError` if there are none."""
-    if not len(state):
-        raise ValueError("there are no samples: call update first")
-    return array_of(dim_zero_cat(state))
+    """Values as an array; floats become float64, since numpy lacks bfloat16."""
+    if isinstance(values, Tensor):
+        values = values.detach().cpu()
+        return np.asarray(values.double() if values.is_floating_point() else values)
+    return np.asarray(values)
 
 
 def scalars(metric: "Metric", values: Mapping[str, float]) -> dict[str, Float[Tensor, ""]]:
@@ -55,8 +46,8 @@ class DeclaredMean(Metric):
 
     `update` takes the function's arrays by position; settings, such as `fps`, are passed here. Other keywords are
     torchmetrics' own. A batch is weighted by the number of elements that its value is a mean over, so the result does
-    not depend on the batches. Raises `KeyError` for a name that is not declared and `ValueError` for a metric that is
-    not a mean.
+    not depend on the batches. Raises `KeyError` for a name that is not declared; `update` raises `ValueError` for a
+    metric that is not a mean.
 
     >>> metric = DeclaredMean("velocity_error", fps=60)
     >>> metric.update(torch.zeros(2, 30, 22, 3), torch.zeros(2, 30, 22, 3))
@@ -70,8 +61,6 @@ class DeclaredMean(Metric):
 
     def __init__(self, declared: str, **settings: Any) -> None:
         metric = find_metric(declared)
-        if metric.weight is None:
-            raise ValueError(f"{metric.name} is not a mean over batches: its function needs all samples")
         own = {name: settings.pop(name) for name in signature(metric.function).parameters if name in settings}
         if "fps" in own:
             own["fps"] = float(own["fps"])
@@ -87,17 +76,15 @@ class DeclaredMean(Metric):
 
     def update(self, *arrays: Tensor | npt.NDArray[Any]) -> None:
         """Add a batch. Raises as the function."""
-        metric, given = find_metric(self.metric_name), [array_of(each) for each in arrays]
-        value = metric.function(*given, **self.settings)
-        assert metric.weight is not None and isinstance(value, float)
-        batch = MeanSums().added(value**metric.exponent, metric.weight(*given))
-        self.total += batch.total
-        self.weight += batch.weight
+        total, weight = find_metric(self.metric_name).weighted(*map(array_of, arrays), **self.settings)
+        self.total += total
+        self.weight += weight
 
     def compute(self) -> Tensor:
         """The mean over all batches, float64. Raises `ValueError` if there are none."""
-        mean = MeanSums(float(self.total), float(self.weight)).mean
-        return scalars(self, {"mean": mean ** (1 / find_metric(self.metric_name).exponent)})["mean"]
+        if not self.weight:
+            raise ValueError("there is nothing to average: call update first")
+        return (self.total / self.weight) ** (1 / find_metric(self.metric_name).exponent)
 
 
 class RPrecision(Metric):
@@ -124,18 +111,18 @@ class RPrecision(Metric):
         self.add_state("candidates", [], dist_reduce_fx="cat")
 
     def update(self, queries: Float[Tensor, "pairs numbers"], candidates: Float[Tensor, "pairs numbers"]) -> None:
-        """Add pairs. Raises `ValueError` for unequal shapes."""
-        if queries.shape != candidates.shape:
-            raise ValueError(f"queries are {tuple(queries.shape)}, candidates {tuple(candidates.shape)}")
+        """Add pairs."""
         self.queries.append(queries.detach().double())
         self.candidates.append(candidates.detach().double())
 
     def compute(self) -> dict[str, Float[Tensor, ""]]:
         """`r_precision_top1` … `3` and `mm_dist`, float64. Raises `ValueError` for fewer pairs than a pool."""
         rng = np.random.default_rng(self.seed)
-        precision = r_precision(rows_of(self.queries), rows_of(self.candidates), rng=rng, pool=self.pool)
-        top = {f"r_precision_top{rank}": share for rank, share in enumerate(precision.top.tolist(), start=1)}
-        return scalars(self, {**top, "mm_dist": precision.matching_distance})
+        top, mm_dist = r_precision(
+            array_of(dim_zero_cat(self.queries)), array_of(dim_zero_cat(self.candidates)), rng=rng, pool=self.pool
+        )
+        shares = {f"r_precision_top{rank}": share for rank, share in enumerate(top.tolist(), start=1)}
+        return scalars(self, {**shares, "mm_dist": mm_dist})
 
 
 class ClipFID(Metric):
@@ -145,8 +132,6 @@ class ClipFID(Metric):
     `Motion`s of `fps`, or arrays [frames, 22, 3] in metres, y up. `update` takes motions of any lengths and keeps them,
     since clips are drawn in proportion to the duration of all of them. The value is that of `eval.clip_fid` on the same
     motions in the same order. Scores are comparable only for the same real motions, framerate and number of clips.
-
-    Raises as `eval.clip_fid` does, for the real motions when the metric is first computed.
 
     >>> rng = np.random.default_rng(0)
     >>> walks = [rng.normal(size=(90, 22, 3)).cumsum(axis=0) / 100 for _ in range(4)]
@@ -192,16 +177,16 @@ class ClipFID(Metric):
         """
         lengths = [len(motion) for motion in motions] if num_frames is None else num_frames.tolist()
         own = [array_of(motion)[:length] for motion, length in zip(motions, lengths, strict=True)]
-        if list(map(len, own)) != lengths:
-            raise ValueError(f"{len(motions)} motions of at most {max(map(len, motions))} frames: {lengths}")
         samples = samples_of("generated", own, self.fps)
+        if samples.sequences.num_frames.tolist() != lengths:
+            raise ValueError(f"num_frames {lengths} exceed a batch of {max(map(len, motions))} frames")
         self.positions.append(torch.from_numpy(samples.sequences.values).to(self.device))
         self.num_frames.append(torch.tensor(lengths, device=self.device))
 
     def compute(self) -> dict[str, Float[Tensor, ""]]:
         """`clip_fid` and half the width of its 95 % interval, `clip_fid_ci95`, float64."""
-        ends = np.cumsum(rows_of(self.num_frames))
-        samples = samples_of("generated", np.split(rows_of(self.positions), ends[:-1]), self.fps)
+        ends = np.cumsum(array_of(dim_zero_cat(self.num_frames)))
+        samples = samples_of("generated", np.split(array_of(dim_zero_cat(self.positions)), ends[:-1]), self.fps)
         score = self._comparison.scores({"generated": samples})["generated"]
         return scalars(self, {"clip_fid": score.value, "clip_fid_ci95": score.ci95})
 

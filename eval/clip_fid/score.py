@@ -20,11 +20,11 @@ from threadpoolctl import threadpool_limits
 from eval.clip_fid.descriptor import VERSION as KINEMATIC_VERSION
 from eval.clip_fid.descriptor import KinematicDescriptor, channels, fit_kinematic, in_threads, standardised
 from eval.metrics.distributions import (
-    RealManifold,
     fid_infinity,
     fit_gaussian,
     frechet_distance,
     kid,
+    prdc,
 )
 from eval.metrics.metric import Metric
 from eval.metrics.number import (
@@ -246,13 +246,11 @@ class Comparison:
                     f"{real.name} at {real.fps} fps: every clip has the same {self.features.name} features, so there "
                     "is no distribution to compare with; is the motion frozen?"
                 )
-            detailed = replication < protocol.detailed_replications and bool(rows)
-            manifold = RealManifold(reference.features, protocol.num_neighbours) if detailed else None
             scores, described = {}, [reference]
             for name, samples in sets.items():
                 among = self._subset(samples, subsets[name], replication) if name in subsets else None
                 other = self._described(samples, replication, OTHER, among)
-                scores[name] = self._compare(reference.features, other.features, replication, manifold)
+                scores[name] = self._compare(reference.features, other.features, replication)
                 if among is None:
                     described.append(other)
             return scores, described
@@ -287,9 +285,7 @@ class Comparison:
             middle = int(np.clip(np.searchsorted(passed, passed[-1] / 2) + 1, 1, len(order) - 1))
             a = self._described(real, replication, REAL, order[:middle]).features
             b = self._described(real, replication, OTHER, order[middle:]).features
-            detailed = replication < protocol.detailed_replications
-            manifold = RealManifold(a, protocol.num_neighbours) if detailed else None
-            return self._compare(a, b, replication, manifold)
+            return self._compare(a, b, replication)
 
         replications = []
         for scores in in_threads(replicate, range(protocol.replications)):
@@ -307,20 +303,16 @@ class Comparison:
         rng = np.random.default_rng((self.protocol.seed, replication, 6))
         return rng.choice(long_enough, size=min(size, len(long_enough)), replace=False)
 
-    def _compare(
-        self, real: Features, other: Features, replication: int, manifold: RealManifold | None
-    ) -> dict[str, float]:
-        """clip-FID, and with the real set's manifold all further metrics."""
+    def _compare(self, real: Features, other: Features, replication: int) -> dict[str, float]:
+        """clip-FID, and in detailed replications all further metrics."""
         scores = {"clip_fid": frechet_distance(fit_gaussian(real), fit_gaussian(other))}
-        if manifold is not None:
+        if replication < self.protocol.detailed_replications:
             rng = np.random.default_rng((self.protocol.seed, replication, 4))
-            neighbours = manifold.compare(other)
             # FID∞ needs more than four clips per feature.
             with suppress(ValueError):
                 scores["fid_infinity"] = fid_infinity(real, other, rng)
             scores["kid"] = kid(real, other)
-            scores |= {"precision": neighbours.precision, "recall": neighbours.recall}
-            scores |= {"density": neighbours.density, "coverage": neighbours.coverage}
+            scores |= prdc(real, other, self.protocol.num_neighbours)
         return scores
 
     def _of_single_sets(self, found: Number) -> Number:

@@ -22,12 +22,6 @@ class NoTakesError(MotionkitError):
     """A data set without takes for a table."""
 
 
-def shared_reason(missing: Sequence[str]) -> str:
-    """Merge reasons of the form "data set: reason"; a common reason is stated once."""
-    reasons = dict.fromkeys(line.partition(": ")[2] for line in missing)
-    return next(iter(reasons)) if len(reasons) == 1 else "; ".join(missing)
-
-
 @dataclass(frozen=True)
 class DataSet:
     """Sequences of a store by a column's value (lower case), at a framerate."""
@@ -152,17 +146,13 @@ def open_clips(
         raise NoTakesError(str(error)) from None
     belongs = data_set.holds(store, takes.sequence_index)
     long_enough = belongs & (takes.num_frames >= num_frames)
-    if not long_enough.any():
-        of_split = "" if split == "all" else f" of split {split!r}"
-        narrowed = f"{of_split} where {where}" if where else of_split
-        if belongs.any():
-            reason = f"none of the {int(belongs.sum())} takes{narrowed} has {num_frames} frames at "
-            raise NoTakesError(f"{reason}{float(data_set.fps):g} fps")
-        if data_set.holds(store, store.select(None)).any():
-            reason = f"no take{narrowed} has a framerate that is a whole multiple of"
-            raise NoTakesError(f"{reason} {float(data_set.fps):g} fps")
+    if not data_set.holds(store, store.select(None)).any():
         looked_for = f"{data_set.column} = {data_set.value!r}"
         raise NoTakesError(f"the store has none of it (motionkit ingest; {looked_for} is what is looked for)")
+    if not long_enough.any():
+        of_split = ("" if split == "all" else f" of split {split!r}") + (f" where {where}" if where else "")
+        rate, few = f"a whole multiple of {float(data_set.fps):g} fps", f"{int(belongs.sum())} are shorter"
+        raise NoTakesError(f"no take{of_split} has {rate} and then {num_frames} frames ({few})")
     cache = open_cache(store, where=condition)
     chosen = np.flatnonzero(long_enough)
     counts = (takes.num_frames[chosen] - num_frames) // every + 1
@@ -185,15 +175,9 @@ def open_clips(
 def split_remark(store: "Store", clips: TrueClips, split: str) -> str:
     """A remark on the performers of these clips, and how many of them are in the training split too."""
     rows = store.columns("source", "subject", "split")
-    chosen = rows.loc[sorted(set(clips.sequence_index.tolist()))]
-    if (chosen["subject"] == "").all():
+    if (rows["subject"].loc[clips.sequence_index] == "").all():
         return "the store does not name performers, so the same people may be in the training split."
-    performers = set(zip(chosen["source"], chosen["subject"], strict=True))
-    training = rows[rows["split"] == "train"]
-    shared = performers & set(zip(training["source"], training["subject"], strict=True))
-    if not shared:
-        return f"{len(performers)} performers, none of whom is in the training split."
-    return (
-        f"{len(performers)} performers, {len(shared)} of whom are in the training split too, with other takes "
-        "(motionkit split holds out whole performers)."
-    )
+    performer = rows["source"] + "/" + rows["subject"]
+    performers = set(performer.loc[clips.sequence_index])
+    shared = performers & set(performer[rows["split"] == "train"])
+    return f"{len(performers)} performers, {len(shared)} of whom are in the training split too, with other takes."

@@ -13,7 +13,7 @@ from eval.sets.sets import Missing
 from motionkit.core.errors import DamagedFileError, MotionkitError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.shapes import Float64
-from motionkit.edit.encoders import encoder_loader, installed_encoders, runs_with
+from motionkit.edit.encoders import encoder_loader, installed_encoders
 from motionkit.features.rotations import two_columns
 from motionkit.fields.interpolation import INTERPOLATORS, CurveKind, curve
 from motionkit.fields.motion_field import (
@@ -111,10 +111,7 @@ def trained_completers(
             except MotionkitError as error:
                 missing.add(f"{loader.title}: {error}")
         elif run is not None and name not in asked:
-            reason = f"not trained ({loader.train_command(run)})"
-            if others := runs_with(name, run.parent):
-                reason = f"run {run.name!r} has none; --encoder {name}={others[-1].name} shows that of another"
-            missing.add(f"{loader.title}: {reason}")
+            missing.add(f"{loader.title}: not trained ({loader.train_command(run)})")
     for name, folder in more:
         row = completer_of(name, folder)
         found.append(replace(row, name=f"{row.name} ({folder.name})"))

@@ -8,7 +8,6 @@ from fractions import Fraction
 import numpy as np
 
 from eval.completion.encoders import Completer
-from eval.metrics.metric import MeanSums
 from eval.metrics.number import Number, Resampling, with_takes
 from eval.metrics.registry import find_metric
 from eval.report.results import Block, Cell, Differences, Measure, Row, cell_of, differences_block, measure, pairs_of
@@ -37,9 +36,8 @@ def add_clips(
     by_take = scores.setdefault(metric, {}).setdefault(column, {})
     for take in dict.fromkeys(takes):
         clips = [clip for clip, each in enumerate(takes) if each == take]
-        own = [array[clips] for array in arrays]
-        sums = find_metric(metric).add(MeanSums(*by_take.get(take, ())), *own, **settings)
-        by_take[take] = [sums.total, sums.weight]
+        batch = find_metric(metric).weighted(*(array[clips] for array in arrays), **settings)
+        by_take[take] = [before + own for before, own in zip(by_take.get(take, (0.0, 0.0)), batch, strict=True)]
 
 
 def mean_over_takes(by_take: Mapping[str, Sequence[float]]) -> Number:
@@ -54,20 +52,18 @@ def mean_over_takes(by_take: Mapping[str, Sequence[float]]) -> Number:
 
 
 def pooled(groups: Sequence[Mapping[str, Scores]]) -> dict[str, Scores]:
-    """Scores of all groups' clips together, for the rows that every group has; rows in the first group's order."""
-    result: dict[str, Scores] = {}
-    for row in (name for name in groups[0] if all(name in group for group in groups)):
-        result[row] = {}
-        for metric, columns in groups[0][row].items():
-            result[row][metric] = {}
-            for column in columns:
-                together: dict[str, list[float]] = {}
-                for group in groups:
-                    for take, (total, weight) in group[row][metric][column].items():
-                        before = together.get(take, [0.0, 0.0])
-                        together[take] = [before[0] + total, before[1] + weight]
-                result[row][metric][column] = together
-    return result
+    """Scores of all groups' clips together, for the rows that every group has; groups have no take in common."""
+    return {
+        row: {
+            metric: {
+                column: {take: sums for group in groups for take, sums in group[row][metric][column].items()}
+                for column in columns
+            }
+            for metric, columns in scores.items()
+        }
+        for row, scores in groups[0].items()
+        if all(row in group for group in groups)
+    }
 
 
 @dataclass(frozen=True)
@@ -93,6 +89,17 @@ class Scope:
         found, (factor, _) = mean_over_takes(self.rows[row][metric][column]), UNITS.get(metric, (1.0, ""))
         resampled = tuple(None if each is None else factor * each for each in found.resampled)
         return Number(factor * found.value, factor * found.ci95, resampled)
+
+    def cells(self, row: str, metric: str, shown: Shown) -> dict[str, Cell]:
+        """A row's cells of a metric's block."""
+        further = shown.details.get(metric, {})
+        return {
+            column: cell_of(
+                self.number(row, metric, column),
+                {title: self.number(row, name, column).value for name, title in further.items()},
+            )
+            for column in shown.columns
+        }
 
 
 def shown_measure(metric: str) -> Measure:
@@ -133,7 +140,7 @@ def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: S
                     f"{scope.label}{FORMS[form]}: {title}",
                     shown.columns,
                     tuple(
-                        Row(each.name, "ours", _cells(scope, each, metric, shown), each.note * notes) for each in rows
+                        Row(row.name, "ours", scope.cells(row.name, metric, shown), row.note * notes) for row in rows
                     ),
                     lower_is_better=find_metric(metric).higher_is_better is False,
                     note=scope.note,
@@ -143,15 +150,6 @@ def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: S
                 blocks += [block] if differences is None else [block, differences]
             noted.add(form)
     return blocks
-
-
-def _cells(scope: Scope, row: Completer, metric: str, shown: Shown) -> dict[str, Cell]:
-    further = shown.details.get(metric, {})
-    cells = {}
-    for column in shown.columns:
-        details = {title: scope.number(row.name, name, column).value for name, title in further.items()}
-        cells[column] = cell_of(scope.number(row.name, metric, column), details)
-    return cells
 
 
 def _differences(scope: Scope, rows: Sequence[Completer], metric: str, columns: Sequence[str]) -> Differences:

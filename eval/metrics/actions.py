@@ -28,8 +28,6 @@ def shares_of_hits(
     scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarray, "samples"]
 ) -> Float64[np.ndarray, "samples"]:
     """1 if a sample's own class has the highest score, a fraction for ties; raises as `accuracy`."""
-    if len(scores) != len(labels):
-        raise ValueError(f"there are {len(scores)} rows of scores and {len(labels)} labels")
     checked_features(scores, "scores", minimum=1)
     if labels.min() < 0 or labels.max() >= scores.shape[1]:
         raise ValueError(f"labels run from {labels.min()} to {labels.max()}, but there are {scores.shape[1]} classes")
@@ -112,8 +110,6 @@ def multimodality_by_class(
     NaN, infinity, and without `replace` for a class with a single motion.
     """
     values = checked_features(features, "features", minimum=1)
-    if labels.shape != (len(values),):
-        raise ValueError(f"there are {len(values)} motions and {len(labels)} labels")
     means = []
     for label in np.unique(labels).tolist():
         members = values[labels == label]

@@ -1,4 +1,4 @@
-"""Metadata of metrics: unit, direction, source and, for means, the weights; sums of means."""
+"""Metadata of metrics: unit, direction, source and, for means, the weights."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -7,34 +7,6 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.generic]
-
-
-@dataclass(frozen=True)
-class MeanSums:
-    """Σ weight·value and Σ weight of the batches so far; the default has none.
-
-    A weight is the number of things that a batch's value is a mean over (`Metric.weight` gives it).
-    """
-
-    total: float = 0.0
-    weight: float = 0.0
-
-    def added(self, value: float, weight: float) -> "MeanSums":
-        """With one more batch. Raises `ValueError` for NaN or a weight that is not positive and finite."""
-        if value != value or not 0 < weight < float("inf"):
-            raise ValueError(f"a batch of value {value} and weight {weight} cannot be averaged")
-        return MeanSums(self.total + weight * value, self.weight + weight)
-
-    def merged(self, other: "MeanSums") -> "MeanSums":
-        """With the batches of another rank."""
-        return MeanSums(self.total + other.total, self.weight + other.weight)
-
-    @property
-    def mean(self) -> float:
-        """The mean over all batches. Raises `ValueError` if there are none."""
-        if not self.weight:
-            raise ValueError("there is nothing to average: no batch was added")
-        return self.total / self.weight
 
 
 @dataclass(frozen=True)
@@ -59,16 +31,19 @@ class Metric:
     version: int = 1
     calibration: str = ""
 
-    def add(self, sums: MeanSums, *arrays: Array, **settings: object) -> MeanSums:
-        """The sums with one more batch: the function's arrays by position, everything else by keyword.
+    def weighted(self, *arrays: Array, **settings: object) -> tuple[float, float]:
+        """Weight times value of a batch, and its weight: the function's arrays by position, all else by keyword.
 
-        The metric over all batches is `sums.mean ** (1 / exponent)`. Raises `ValueError` for a metric that is no mean.
+        The metric over all batches is (Σ weight · value / Σ weight) ** (1 / exponent). Raises `ValueError` for a metric
+        that is no mean, and for a batch whose value is NaN or whose weight is not positive.
         """
         if self.weight is None:
             raise ValueError(f"{self.name} is not a mean over batches: its function needs all samples")
-        value = self.function(*arrays, **settings)
+        value, weight = self.function(*arrays, **settings), self.weight(*arrays)
         assert isinstance(value, float)
-        return sums.added(value**self.exponent, self.weight(*arrays))
+        if value != value or not 0 < weight < float("inf"):
+            raise ValueError(f"{self.name}: a batch of value {value} and weight {weight} cannot be averaged")
+        return weight * value**self.exponent, weight
 
 
 def by_frames(first: Array, *_: Array) -> float:
@@ -82,10 +57,5 @@ def by_clips(first: Array, *_: Array) -> float:
 
 
 def by_steps(order: int) -> Callable[..., float]:
-    """Weight: number of differences of this order along the frames of clips [*clips, frames, joints, 3]."""
+    """Weight: number of differences of this order (0: of frames) in clips [*clips, frames, joints, 3]."""
     return lambda first, *_: float(np.prod(first.shape[:-3]) * (first.shape[-3] - order))
-
-
-def by_clip_frames(first: Array, *_: Array) -> float:
-    """Weight: number of frames of clips [clips, frames, …]."""
-    return float(first.shape[0] * first.shape[1])

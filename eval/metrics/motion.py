@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from eval.metrics.distributions import checked_features
-from eval.metrics.metric import Metric, by_clip_frames, by_clips, by_frames, by_steps
+from eval.metrics.metric import Metric, by_clips, by_frames, by_steps
 from motionkit.core.shapes import Bool, Float, Float64
 
 Positions = Float[np.ndarray, "*clips frames joints 3"]
@@ -106,24 +106,12 @@ def mean_vector_distance(predicted: Vectors, target: Vectors) -> float:
     return float(np.linalg.norm(checked_difference(predicted, target), axis=-1).mean())
 
 
-def velocity_error(predicted: Positions, target: Positions, fps: float) -> float:
-    """Mean distance between predicted and true joint velocities, m/s."""
-    return _derivative_error(predicted, target, fps, order=1)
+def derivative_error(predicted: Positions, target: Positions, fps: float, *, order: int) -> float:
+    """Mean distance of the joints' derivatives of this order: m/s, m/s² ("Accel": Kanazawa et al. 2019), m/s³.
 
-
-def acceleration_error(predicted: Positions, target: Positions, fps: float) -> float:
-    """Mean distance between predicted and true joint accelerations, m/s² ("Accel": Kanazawa et al. 2019)."""
-    return _derivative_error(predicted, target, fps, order=2)
-
-
-def jerk_error(predicted: Positions, target: Positions, fps: float) -> float:
-    """Mean distance between predicted and true joint jerks, m/s³."""
-    return _derivative_error(predicted, target, fps, order=3)
-
-
-def _derivative_error(predicted: Positions, target: Positions, fps: float, *, order: int) -> float:
-    # Clips have an axis of their own, so that no difference is taken across two sequences. Differences are linear: the
-    # difference of derivatives is the derivative of the difference.
+    Clips have an axis of their own, so that no difference crosses two sequences.
+    """
+    # Differences are linear: the difference of derivatives is the derivative of the difference.
     difference = checked_difference(predicted, target)
     num_frames = difference.shape[-3]
     if num_frames <= order:
@@ -215,9 +203,6 @@ def psnr(
     Given frames have no error by definition and would raise the value. For several clips with the same frames given,
     the mean of their dB. Infinite for a clip without error, unless clips are capped at `ceiling_db`.
     """
-    num_frames = predicted.shape[-2]
-    if synthesised.shape != (num_frames,):
-        raise ValueError(f"there are {num_frames} frames and {len(synthesised)} marks of synthesised ones")
     if not synthesised.any():
         raise ValueError("no frame is synthesised: there is nothing to measure")
     difference = checked_difference(predicted, target)[..., synthesised, :]
@@ -258,33 +243,26 @@ def _window_means(
     return means[..., half:-half, :]
 
 
-ANKLE_HEIGHT = 0.08
-TOE_HEIGHT = 0.04
+FOOT_HEIGHTS = (0.08, 0.04, 0.08, 0.04)
 
 
-def skating_speed(
-    feet: Float[np.ndarray, "frames feet 3"],
-    fps: float,
-    heights: tuple[float, ...] = (ANKLE_HEIGHT, TOE_HEIGHT, ANKLE_HEIGHT, TOE_HEIGHT),
-    *,
-    floor: float = 0.0,
-) -> float:
-    """Mean of v·(2 − 2^clamp(h/H, 0, 1)) over frames and foot joints, m/s: lower feet have more weight.
+def skating_speed(feet: Float[np.ndarray, "frames 4 3"], fps: float, *, floor: float = 0.0) -> float:
+    """Mean of v·(2 − 2^clamp(h/H, 0, 1)) over frames, ankles and toes, m/s: lower feet have more weight.
 
-    `heights` are H of each foot joint, 8 cm for ankles and 4 cm for toes; v is horizontal speed from a frame to the
-    next, h the height at the first of the two. Source: Zhang et al. 2018 (MANN), as in NeMF (He et al. 2022).
+    The joints are left ankle and toe, then the right ones; H is 8 cm for ankles and 4 cm for toes; v is horizontal
+    speed from a frame to the next, h the height at the first of the two. Source: Zhang et al. 2018 (MANN), as in NeMF
+    (He et al. 2022).
     """
-    if len(heights) != feet.shape[1] or min(heights) <= 0:
-        raise ValueError(f"there are {feet.shape[1]} foot joints and heights {heights}: one positive height for each")
-    values = checked_features(feet.reshape(len(feet), -1), "feet", minimum=2).reshape(feet.shape)
+    values = checked_features(feet.reshape(len(feet), -1), "feet", minimum=2).reshape(-1, len(FOOT_HEIGHTS), 3)
     steps = np.diff(values[..., ::2], axis=0)
     speed = np.hypot(steps[..., 0], steps[..., 1]) * checked_fps(fps)
-    height = (values[:-1, :, 1] - floor) / np.asarray(heights)
+    height = (values[:-1, :, 1] - floor) / FOOT_HEIGHTS
     return float((speed * (2.0 - np.exp2(np.clip(height, 0.0, 1.0)))).mean())
 
 
 _HARVEY, _KANAZAWA, _GEODESIC = "Harvey et al. 2020", "Kanazawa et al. 2019", "geodesic distance on SO(3)"
 _FIRST, _THIRD = "mean joint distance of differences", "mean joint distance of third differences"
+_VELOCITY, _ACCELERATION, _JERK = (partial(derivative_error, order=order) for order in (1, 2, 3))
 _SIGNED = partial(l2q, align_signs=False)
 METRICS = (
     Metric("mpjpe_global", "MPJPE (global)", "m", False, "Ionescu et al. 2014", mpjpe_global, by_frames),
@@ -293,12 +271,12 @@ METRICS = (
     Metric("rotation_angle_error", "Rotation error", "°", False, _GEODESIC, rotation_angle_error, by_frames),
     Metric("mre", "MRE", "raw", False, "NeRM Table 4, as a root mean square", mre, by_frames, exponent=2),
     Metric("mean_vector_distance", "MRE (L2 norm)", "raw", False, "NeRM Table 4", mean_vector_distance, by_frames),
-    Metric("velocity_error", "Velocity error", "m/s", False, _FIRST, velocity_error, by_steps(1)),
-    Metric("acceleration_error", "Acceleration error", "m/s²", False, _KANAZAWA, acceleration_error, by_steps(2)),
-    Metric("jerk_error", "Jerk error", "m/s³", False, _THIRD, jerk_error, by_steps(3)),
-    Metric("l2p", "L2P", "", False, _HARVEY, l2p, by_clip_frames),
-    Metric("l2q", "L2Q", "", False, _HARVEY, l2q, by_clip_frames),
-    Metric("l2q_as_signed", "L2Q (signs as they come)", "", False, _HARVEY, _SIGNED, by_clip_frames),
+    Metric("velocity_error", "Velocity error", "m/s", False, _FIRST, _VELOCITY, by_steps(1)),
+    Metric("acceleration_error", "Acceleration error", "m/s²", False, _KANAZAWA, _ACCELERATION, by_steps(2)),
+    Metric("jerk_error", "Jerk error", "m/s³", False, _THIRD, _JERK, by_steps(3)),
+    Metric("l2p", "L2P", "", False, _HARVEY, l2p, by_steps(0)),
+    Metric("l2q", "L2Q", "", False, _HARVEY, l2q, by_steps(0)),
+    Metric("l2q_as_signed", "L2Q (signs as they come)", "", False, _HARVEY, _SIGNED, by_steps(0)),
     Metric("npss", "NPSS", "", False, "Gopalakrishnan et al. 2019", npss, lambda _, target: npss_weight(target)),
     Metric("psnr", "PSNR", "dB", True, "motionkit", psnr, by_clips),
     Metric("ssim", "SSIM", "", True, "Wang et al. 2004", ssim, by_clips),

@@ -113,11 +113,8 @@ class Scores:
     def remark_on_draws(self, draws: int, replications: int) -> None:
         """Add a remark on the interval if there are fewer sets of motions than replications."""
         if draws < replications:
-            sets = "is one set" if draws == 1 else f"are {draws} sets"
-            self.remark(
-                f"there {sets} of motions for {replications} replications: intervals are over takes and hold the draws "
-                "of pools and pairs, other generations of the same takes no more than these differ (--draws)"
-            )
+            there = "there is one set" if draws == 1 else f"there are {draws} sets"
+            self.remark(f"{there} of motions for {replications} replications: others would differ by more (--draws)")
 
     @property
     def values(self) -> dict[str, Number]:
@@ -180,8 +177,12 @@ class Units:
 
 def units_of(takes: Sequence[str], generations: Sequence[int] = (), blocks: int | None = None) -> Units:
     """Units of motions by their takes; with `blocks`, takes are grouped into that many blocks by their names."""
-    names = list(takes) if blocks is None else [_block(take, blocks) for take in takes]
-    pairs = list(zip(names, map(str, generations) if generations else [""] * len(names), strict=True))
+
+    def name_of(take: str) -> str:
+        digest = hashlib.sha256(take.encode()).digest()
+        return take if blocks is None else str(int.from_bytes(digest[16:24], "little") % blocks)
+
+    pairs = list(zip(map(name_of, takes), map(str, generations) if generations else [""] * len(takes), strict=True))
     place = {pair: index for index, pair in enumerate(dict.fromkeys(pairs))}
     unit = np.array([place[pair] for pair in pairs], dtype=np.int64)
     return Units(unit, tuple(take for take, _ in place), tuple(generation for _, generation in place))
@@ -191,10 +192,6 @@ def blocks_for(num_takes: int, num_features: int) -> int | None:
     """Number of blocks of takes whose products fit into memory; None if no blocks are needed."""
     most = int(np.clip(MOST_PRODUCTS // num_features**2, FEWEST_BLOCKS, MOST_BLOCKS))
     return most if num_takes > most else None
-
-
-def _block(take: str, blocks: int) -> str:
-    return str(int.from_bytes(hashlib.sha256(take.encode()).digest()[16:24], "little") % blocks)
 
 
 class UnitSums:

@@ -7,14 +7,12 @@ bands resampled to one framerate. None if a motion has nothing to measure. Table
 at y = 0.
 """
 
-from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
-from eval.metrics.distributions import checked_features
 from eval.metrics.metric import Metric
-from eval.metrics.physical_published import FEET
+from eval.metrics.physical_published import FEET, checked_motion
 from motionkit.core.shapes import Bool, Float, Float64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import Framerate, parse_fps
@@ -37,36 +35,23 @@ def ground_height(positions: Positions, fps: Framerate) -> float:
 
     Not the minimum, which a single bad frame determines. `fps` is not used.
     """
-    return 1000.0 * float(np.quantile(_checked(positions)[..., 1].min(axis=1), GROUND_QUANTILE))
+    return 1000.0 * float(np.quantile(checked_motion(positions)[..., 1].min(axis=1), GROUND_QUANTILE))
 
 
-@dataclass(frozen=True)
-class FootRests:
-    """Foot joints that stay low, and the speed of each in m/s, at instants up to 0.1 s before a motion's end."""
-
-    low: Bool[np.ndarray, "instants feet"]
-    speed: Float64[np.ndarray, "instants feet"]
-
-    @property
-    def steadiest(self) -> Float64[np.ndarray, "contacts"]:
-        """Speed of the slowest low joint, at the instants that have one, m/s."""
-        slowest = np.where(self.low, self.speed, np.inf).min(axis=1, initial=np.inf)
-        return np.asarray(slowest[np.isfinite(slowest)])
-
-
-def foot_rests(positions: Positions, fps: Framerate) -> FootRests:
-    """Which ankles and toes are on the ground, and their horizontal speed over the 0.1 s that follow.
+def foot_rests(
+    positions: Positions, fps: Framerate
+) -> tuple[Bool[np.ndarray, "instants feet"], Float64[np.ndarray, "instants feet"]]:
+    """Which ankles and toes are on the ground, and their horizontal speed over the 0.1 s that follow, m/s.
 
     A joint is low while it stays within 2 cm of its own lowest level (exceeded for 95 % of the time): ankles are higher
-    than toes, and within 5 cm runners' feet swing. Positions are linearly interpolated.
+    than toes, and within 5 cm runners' feet swing. Positions are linearly interpolated; instants end 0.1 s before the
+    motion does.
     """
-    values = _checked(positions)[:, FEET]
+    values = checked_motion(positions)[:, FEET]
     reach = SLIDE_SECONDS * float(parse_fps(fps))
     whole = int(reach + 1e-9)
     share = max(0.0, reach - whole)
-    num = len(values) - whole - (share > 1e-9)
-    if num < 1:
-        return FootRests(np.zeros((0, 4), dtype=bool), np.zeros((0, 4)))
+    num = max(0, len(values) - whole - (share > 1e-9))
     later = values[whole : whole + num]
     if share > 1e-9:
         later = (1.0 - share) * later + share * values[whole + 1 : whole + 1 + num]
@@ -74,7 +59,13 @@ def foot_rests(positions: Positions, fps: Framerate) -> FootRests:
     height = values[..., 1]
     near = height <= np.quantile(height, GROUND_QUANTILE, axis=0) + LOW_METRES
     stays = np.logical_and.reduce([near[first : first + num] for first in range(whole + 1)])
-    return FootRests(stays, np.hypot(moved[..., 0], moved[..., 1]))
+    return stays, np.hypot(moved[..., 0], moved[..., 1])
+
+
+def _steadiest(positions: Positions, fps: Framerate) -> Float64[np.ndarray, "contacts"]:
+    """Speed of the slowest joint on the ground, at the instants that have one, m/s."""
+    low, speed = foot_rests(positions, fps)
+    return np.asarray(np.where(low, speed, np.inf).min(axis=1)[low.any(axis=1)])
 
 
 def slide_speed(positions: Positions, fps: Framerate) -> float | None:
@@ -83,19 +74,19 @@ def slide_speed(positions: Positions, fps: Framerate) -> float | None:
     While a body stands, walks or runs, one joint of the feet on the ground rests, so dragging the other foot is not
     skating. None if no foot stays down for 0.1 s.
     """
-    steadiest = foot_rests(positions, fps).steadiest
-    return float(steadiest.mean()) if len(steadiest) else None
+    speeds = _steadiest(positions, fps)
+    return float(speeds.mean()) if len(speeds) else None
 
 
 def slide_share(positions: Positions, fps: Framerate) -> float | None:
     """Fraction of the time on the ground in which the slowest foot joint exceeds 0.25 m/s; None as `slide_speed`."""
-    steadiest = foot_rests(positions, fps).steadiest
-    return float((steadiest > SLIDING_SPEED).mean()) if len(steadiest) else None
+    speeds = _steadiest(positions, fps)
+    return float((speeds > SLIDING_SPEED).mean()) if len(speeds) else None
 
 
 def contact_share(positions: Positions, fps: Framerate) -> float | None:
     """Fraction of time in which a foot is on the ground: 1 for a frozen body, 0 for one that shakes or climbs."""
-    low = foot_rests(positions, fps).low
+    low, _ = foot_rests(positions, fps)
     return float(low.any(axis=1).mean()) if len(low) else None
 
 
@@ -104,8 +95,8 @@ def height_speed_agreement(positions: Positions, fps: Framerate) -> float | None
 
     They disagree for a foot that slides on the ground or stops in the air, which real feet do too, but less.
     """
-    rests = foot_rests(positions, fps)
-    return float((rests.low == (rests.speed < SLIDING_SPEED)).mean()) if len(rests.low) else None
+    low, speed = foot_rests(positions, fps)
+    return float((low == (speed < SLIDING_SPEED)).mean()) if len(low) else None
 
 
 def jerk(positions: Positions, fps: Framerate) -> float | None:
@@ -113,7 +104,7 @@ def jerk(positions: Positions, fps: Framerate) -> float | None:
 
     The raw difference at a capture's own framerate is its noise times the framerate cubed. None under 0.5 s.
     """
-    motion = _at(positions, fps, JERK_FPS)
+    motion = resample_positions(checked_motion(positions), parse_fps(fps), JERK_FPS)
     if len(motion) <= SHORTEST_SECONDS * JERK_FPS:
         return None
     return float(np.linalg.norm(np.diff(motion, n=3, axis=0), axis=-1).mean() * float(JERK_FPS) ** 3)
@@ -129,7 +120,7 @@ def jitter(positions: Positions, fps: Framerate) -> float | None:
 
     if parse_fps(fps) < JITTER_FPS:
         return None
-    motion = _at(positions, fps, JITTER_FPS)
+    motion = resample_positions(checked_motion(positions), parse_fps(fps), JITTER_FPS)
     if len(motion) <= SHORTEST_SECONDS * JITTER_FPS:
         return None
     sections = butter(JITTER_ORDER, JITTER_HERTZ, "high", fs=float(JITTER_FPS), output="sos")
@@ -141,7 +132,7 @@ def bone_length_drift(positions: Positions, fps: Framerate) -> float | None:
 
     Averaged because noise and resampling perturb every frame a little. None if no bone has a length.
     """
-    values = _checked(positions)
+    values = checked_motion(positions)
     lengths = np.linalg.norm(values[:, 1:] - values[:, list(SMPL22.parents[1:])], axis=-1)
     num = max(1, int(len(lengths) / (BONE_SECONDS * float(parse_fps(fps)))))
     edges = np.linspace(0, len(lengths), num + 1).astype(np.int64)
@@ -149,14 +140,6 @@ def bone_length_drift(positions: Positions, fps: Framerate) -> float | None:
     mean = means.mean(axis=0)
     known = mean > 0
     return float(((means.max(axis=0) - means.min(axis=0))[known] / mean[known]).mean()) if known.any() else None
-
-
-def _checked(positions: Positions) -> Float64[np.ndarray, "frames joints 3"]:
-    return checked_features(positions.reshape(len(positions), -1), "positions", 1).reshape(positions.shape).copy()
-
-
-def _at(positions: Positions, fps: Framerate, wanted: Fraction) -> Float64[np.ndarray, "rows joints 3"]:
-    return resample_positions(_checked(positions), parse_fps(fps), wanted)
 
 
 _GAMES = "docs/results/physical.md"

@@ -41,7 +41,7 @@ def gmd_skating_ratio(positions: Positions, fps: float, floor: float = 0.0) -> f
     """
     from scipy.ndimage import uniform_filter1d
 
-    toes = _motion(positions, floor)[:, TOES]
+    toes = checked_motion(positions, floor)[:, TOES]
     speed = _horizontal(np.diff(toes, axis=0)) * GMD_FPS
     average = uniform_filter1d(speed, GMD_WINDOW, axis=0, mode="constant")
     skates = _low_twice(toes, GMD_HEIGHT) & (speed > GMD_SPEED) & (average > GMD_SPEED)
@@ -82,8 +82,9 @@ def mbench_foot_sliding(positions: Positions, fps: float, floor: float = 0.0) ->
     In contact: a step under 1 cm, or a height under 2 cm. The last step counts twice. Source: MBench (ViMoGen, 2025),
     SMPLCap/ViMoGen@230b14f, mbench/motion_quality.py, get_contact and compute_foot_sliding.
     """
-    contact, steps = _mbench_contact(_motion(positions, floor))
-    slid = (_horizontal(steps) * contact).sum(axis=0) / (contact.sum(axis=0) + SMALL)
+    toes = checked_motion(positions, floor)[:, TOES]
+    contact = _mbench_contact(toes)
+    slid = (_horizontal(_mbench_steps(toes)) * contact).sum(axis=0) / (contact.sum(axis=0) + SMALL)
     return float(slid.mean())
 
 
@@ -92,7 +93,7 @@ def mbench_penetration(positions: Positions, fps: float, floor: float = 0.0) -> 
 
     Source: MBench, as `mbench_foot_sliding`, compute_ground_penetration.
     """
-    height = _motion(positions, floor)[:, TOES, 1]
+    height = checked_motion(positions, floor)[:, TOES, 1]
     under = height < -MBENCH_TOLERANCE
     return float(-height[under].mean()) if under.any() else 0.0
 
@@ -102,9 +103,9 @@ def mbench_jitter(positions: Positions, fps: float, floor: float = 0.0) -> float
 
     MBench has 24 joints or 22, by the file. Source: MBench, as `mbench_foot_sliding`, compute_jitter_degree.
     """
-    motion = _motion(positions, floor)
+    motion = checked_motion(positions, floor)
     each = (motion, motion - motion[:, :1])
-    return float(sum(np.linalg.norm(np.diff(one, n=2, axis=0), axis=-1).mean() for one in each))
+    return float(sum(_lengths(np.diff(one, n=2, axis=0)).mean() for one in each))
 
 
 def mbench_foot_floating(positions: Positions, fps: float, floor: float = 0.0) -> float:
@@ -117,11 +118,12 @@ def mbench_foot_floating(positions: Positions, fps: float, floor: float = 0.0) -
     count whole if the left one's direction from its first place turns to and fro more than twice. Source: MBench, as
     `mbench_foot_sliding`, compute_foot_floating.
     """
-    motion = _motion(positions, floor)
-    touches, _ = _mbench_contact(motion)
-    root, relative = (_mbench_steps(each) for each in (motion[:, :1], motion[:, TOES] - motion[:, :1]))
-    rate = relative / (root + SMALL)
-    goes, moves = root[:, 0] >= MBENCH_REST, _mbench_steps(motion[:, TOES]) > MBENCH_STILL
+    motion = checked_motion(positions, floor)
+    root, toes = motion[:, :1], motion[:, TOES]
+    touches = _mbench_contact(toes)
+    root_step, relative, step = (_lengths(_mbench_steps(each)) for each in (root, toes - root, toes))
+    rate = relative / (root_step + SMALL)
+    goes, moves = root_step[:, 0] >= MBENCH_REST, step > MBENCH_STILL
     hangs = moves & ((rate < MBENCH_SLOW) | (rate > MBENCH_FAST)) & goes[:, None]
     count = float((touches.any(axis=1) & (hangs | ~touches).all(axis=1)).sum())
     runs = [_runs(~touches[:, foot]) for foot in range(2)]
@@ -130,7 +132,7 @@ def mbench_foot_floating(positions: Positions, fps: float, floor: float = 0.0) -
             if stop - start >= MBENCH_RUN and (~goes[start:stop]).mean() <= 0.5:
                 count += float((rate[start:stop, foot] < MBENCH_SLOW - 0.2).sum()) / 2
     for start, stop in _runs(~(touches[:, 0] | touches[:, 1])):
-        if stop - start >= MBENCH_RUN and _turns(motion[start:stop, TOES[0]]) > 2:
+        if stop - start >= MBENCH_RUN and _turns(toes[start:stop, 0]) > 2:
             count += stop - start
     return count / len(motion)
 
@@ -140,8 +142,8 @@ def kimodo_foot_skate(positions: Positions, fps: float, floor: float = 0.0) -> f
 
     Source: Kimodo (NVIDIA 2026), nv-tlabs/kimodo@7330e7e, kimodo/metrics/foot_skate.py, FootSkateFromHeight.
     """
-    toes = _motion(positions, floor)[:, TOES]
-    speed = np.linalg.norm(np.diff(toes, axis=0), axis=-1) * checked_fps(fps)
+    toes = checked_motion(positions, floor)[:, TOES]
+    speed = _lengths(np.diff(toes, axis=0)) * checked_fps(fps)
     low = toes[:-1, :, 1] < KIMODO_HEIGHT
     return float((speed * low).sum() / (low.sum() + SMALL))
 
@@ -152,8 +154,8 @@ def kimodo_skate_ratio(positions: Positions, fps: float, floor: float = 0.0) -> 
     Source: Kimodo, as `kimodo_foot_skate`, FootSkateRatio. Its FootContactConsistency needs contacts predicted by a
     model (0.15 m/s, 10 cm), which joint positions don't hold.
     """
-    toes = _motion(positions, floor)[:, TOES]
-    speed = np.linalg.norm(np.diff(toes, axis=0), axis=-1) * checked_fps(fps)
+    toes = checked_motion(positions, floor)[:, TOES]
+    speed = _lengths(np.diff(toes, axis=0)) * checked_fps(fps)
     low = _low_twice(toes, KIMODO_HEIGHT)
     return float((low & (speed > KIMODO_SPEED)).sum() / (low.sum() + SMALL))
 
@@ -165,7 +167,8 @@ def physdiff_penetrate(positions: Positions, fps: float, floor: float = 0.0) -> 
     joints as in GuyTevet/CLoSD@a9ac7a9, closd/diffusion_planner/data_loaders/humanml/utils/metrics.py,
     calculate_penetration.
     """
-    return float(np.maximum(0.0, -_motion(positions, floor)[..., 1].min(axis=1) - PHYSDIFF_TOLERANCE).mean() * 1000.0)
+    lowest = checked_motion(positions, floor)[..., 1].min(axis=1)
+    return float(np.maximum(0.0, -lowest - PHYSDIFF_TOLERANCE).mean() * 1000.0)
 
 
 def physdiff_float(positions: Positions, fps: float, floor: float = 0.0) -> float:
@@ -173,7 +176,8 @@ def physdiff_float(positions: Positions, fps: float, floor: float = 0.0) -> floa
 
     Source: as `physdiff_penetrate`, calculate_floating.
     """
-    return float(np.maximum(0.0, _motion(positions, floor)[..., 1].min(axis=1) - PHYSDIFF_TOLERANCE).mean() * 1000.0)
+    lowest = checked_motion(positions, floor)[..., 1].min(axis=1)
+    return float(np.maximum(0.0, lowest - PHYSDIFF_TOLERANCE).mean() * 1000.0)
 
 
 def physdiff_skate(positions: Positions, fps: float, floor: float = 0.0) -> float:
@@ -182,38 +186,37 @@ def physdiff_skate(positions: Positions, fps: float, floor: float = 0.0) -> floa
     PhysDiff: "we find foot joints that contact the ground in two adjacent frames and compute their average horizontal
     displacement within the frames". Source: as `physdiff_penetrate`, calculate_foot_sliding.
     """
-    motion = _motion(positions, floor)
+    motion = checked_motion(positions, floor)
     steps, rows = np.arange(len(motion) - 1), motion[..., 1].argmin(axis=1)[:-1]
     now, after = motion[steps, rows], motion[steps + 1, rows]
     contact = (now[:, 1] <= PHYSDIFF_TOLERANCE) & (after[:, 1] <= PHYSDIFF_TOLERANCE)
     return float((_horizontal(after - now) * contact).mean() * 1000.0)
 
 
-def _motion(positions: Positions, floor: float) -> Float64[np.ndarray, "frames 22 3"]:
-    values = checked_features(positions.reshape(len(positions), -1), "positions", 3).reshape(positions.shape).copy()
-    values[..., 1] -= floor
-    return values
+def checked_motion(
+    positions: Float[np.ndarray, "frames joints 3"], floor: float = 0.0
+) -> Float64[np.ndarray, "frames joints 3"]:
+    """A copy in float64 with the floor at 0; raises `ValueError` for fewer than 3 frames, NaN or infinity."""
+    rows = checked_features(positions.reshape(len(positions), -1), "positions", 3)
+    return np.asarray(rows.reshape(positions.shape) - [0.0, floor, 0.0])
 
 
 def _steps(positions: Positions) -> Float64[np.ndarray, "steps 4"]:
     """Length of every step of ankles and toes, metres."""
-    return np.asarray(np.linalg.norm(np.diff(_motion(positions, 0.0)[:, FEET], axis=0), axis=-1))
+    return _lengths(np.diff(checked_motion(positions)[:, FEET], axis=0))
 
 
-def _mbench_contact(
-    motion: Float64[np.ndarray, "frames 22 3"],
-) -> tuple[Bool[np.ndarray, "frames 2"], Float64[np.ndarray, "frames 2 3"]]:
-    """MBench's contact of the toes, and their steps, the last one repeated."""
-    toes = motion[:, TOES]
-    steps = np.diff(toes, axis=0)
-    steps = np.concatenate((steps, steps[-1:]))
-    contact = (np.linalg.norm(steps, axis=-1) < MBENCH_STEP) | (toes[..., 1] < MBENCH_HEIGHT)
-    return np.asarray(contact), steps
+def _mbench_steps(joints: Float64[np.ndarray, "frames joints 3"]) -> Float64[np.ndarray, "frames joints 3"]:
+    steps = np.diff(joints, axis=0)
+    return np.concatenate((steps, steps[-1:]))
 
 
-def _mbench_steps(joints: Float64[np.ndarray, "frames joints 3"]) -> Float64[np.ndarray, "frames joints"]:
-    lengths = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
-    return np.concatenate((lengths, lengths[-1:]))
+def _mbench_contact(toes: Float64[np.ndarray, "frames 2 3"]) -> Bool[np.ndarray, "frames 2"]:
+    return np.asarray((_lengths(_mbench_steps(toes)) < MBENCH_STEP) | (toes[..., 1] < MBENCH_HEIGHT))
+
+
+def _lengths(steps: Float64[np.ndarray, "*steps 3"]) -> Float64[np.ndarray, "*steps"]:
+    return np.asarray(np.linalg.norm(steps, axis=-1))
 
 
 def _runs(holds: Bool[np.ndarray, "frames"]) -> list[tuple[int, int]]:

@@ -34,15 +34,12 @@ def retrieval(
 
     `right` says which candidates are relevant to a query; by default candidate i to query i alone. Candidates at one
     distance share their ranks: a hit counts by its expectation over their random order, so an evaluator that maps
-    everything to one point scores chance. Raises `ValueError` for distances that are not finite, or not square without
-    `right`, and for a query without a relevant candidate. Source: TMR (Petrovich et al. 2023).
+    everything to one point scores chance. Raises `ValueError` for distances that are not finite, and for a query
+    without a relevant candidate. Source: TMR (Petrovich et al. 2023).
     """
     if not np.isfinite(distances).all() or not distances.size:
         raise ValueError("retrieval needs finite distances, of one query at least")
-    if right is None:
-        if distances.shape[0] != distances.shape[1]:
-            raise ValueError(f"distances are {distances.shape}: say which candidates are right")
-        right = np.eye(len(distances), dtype=np.bool_)
+    right = np.eye(*distances.shape, dtype=np.bool_) if right is None else right
     if not right.any(axis=1).all():
         raise ValueError(f"query {int(np.argmin(right.any(axis=1)))} has no right candidate")
     own = np.where(right, distances, np.inf).min(axis=1, keepdims=True)
@@ -112,31 +109,23 @@ REFERENCE_POOL = 32
 RANKS = 3
 
 
-@dataclass(frozen=True, eq=False)
-class RPrecision:
-    """`top[k − 1]`: share of queries whose own candidate is among the k nearest; `matching_distance`: its mean."""
-
-    top: Float64[np.ndarray, "ranks"]
-    matching_distance: float
-
-
 def r_precision(
     queries: Float[np.ndarray, "pairs numbers"],
     candidates: Float[np.ndarray, "pairs numbers"],
     *,
     rng: np.random.Generator,
     pool: int = REFERENCE_POOL,
-    ranks: int = RANKS,
-) -> RPrecision:
-    """Shuffle the pairs, cut them into pools, and rank each query's own candidate by Euclidean distance in its pool.
+) -> tuple[Float64[np.ndarray, "ranks"], float]:
+    """R-Precision for each number of nearest candidates from 1, and MM-Dist, the pairs' mean distance.
 
-    Row i of `queries` belongs to row i of `candidates`. The last, incomplete pool is dropped, as in the reference.
-    Candidates at the same distance share their ranks: each hit counts by its expectation over random order, so an
-    evaluator that maps everything to one point scores chance. Distances are exact, in float64 (the usual
-    √(a² + b² − 2ab) in float32 gives NaN for equal vectors); `matching_distance` is MM-Dist over the same pairs.
-    Raises `ValueError` for fewer pairs than a pool or rows that are not finite.
+    Pairs are shuffled and cut into pools, in which each query's own candidate is ranked by Euclidean distance. Row i of
+    `queries` belongs to row i of `candidates`. The last, incomplete pool is dropped, as in the reference. Candidates at
+    one distance share their ranks, as in `retrieval`. Distances are exact, in float64 (the usual √(a² + b² − 2ab) in
+    float32 gives NaN for equal vectors). Raises `ValueError` for fewer pairs than a pool or rows that are not finite.
     """
-    return ranked(pool_distances(queries, candidates, rng.permutation(len(queries)), pool), ranks)
+    distances = pool_distances(queries, candidates, rng.permutation(len(queries)), pool)
+    top = hits(distances).reshape(RANKS, -1).mean(axis=1)
+    return top, float(np.diagonal(distances, axis1=1, axis2=2).mean())
 
 
 def pool_distances(
@@ -157,21 +146,12 @@ def pool_distances(
     return np.stack([cdist(queries[members], candidates[members]) for members in pools])
 
 
-def hits(
-    distances: Float64[np.ndarray, "pools pool pool"], ranks: int = RANKS
-) -> Float64[np.ndarray, "ranks pools pool"]:
+def hits(distances: Float64[np.ndarray, "pools pool pool"]) -> Float64[np.ndarray, "ranks pools pool"]:
     """Whether each query's (row's) own candidate is among the 1, 2, … nearest; ties share the hit."""
     own = np.diagonal(distances, axis1=1, axis2=2)
     nearer = (distances < own[..., None]).sum(axis=-1)
     tied = (distances == own[..., None]).sum(axis=-1)
-    return np.stack([np.clip((rank - nearer) / tied, 0.0, 1.0) for rank in range(1, ranks + 1)])
-
-
-def ranked(distances: Float64[np.ndarray, "pools pool pool"], ranks: int = RANKS) -> RPrecision:
-    """R-Precision from pools' distances with queries as rows."""
-    own = np.diagonal(distances, axis1=1, axis2=2)
-    top = np.array([found.mean() for found in hits(distances, ranks)])
-    return RPrecision(top, float(own.mean()))
+    return np.stack([np.clip((rank - nearer) / tied, 0.0, 1.0) for rank in range(1, RANKS + 1)])
 
 
 _T2M, _TMR = "text-to-motion (Guo et al. 2022)", "TMR (Petrovich et al. 2023)"

@@ -11,7 +11,7 @@ from functools import partial
 from statistics import fmean
 from typing import Any
 
-from eval.completion.data_sets import DataSet, NoTakesError, data_sets_of, open_clips, shared_reason, split_remark
+from eval.completion.data_sets import DataSet, NoTakesError, data_sets_of, open_clips, split_remark
 from eval.completion.encoders import HOLD, INTERPOLATION, Completer, completer_of, trained_completers
 from eval.completion.interpolation import (
     CEILING_DB,
@@ -96,7 +96,7 @@ def _scored(
         except NoTakesError as error:
             without.append(f"{data_set.label}: {error}")
     if not found:
-        raise NoTakesError(shared_reason(without))
+        raise NoTakesError("; ".join(without))
     config.missing.add(*without)
     for clips in found:
         rows: dict[str, Scores] = {}

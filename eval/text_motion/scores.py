@@ -24,7 +24,6 @@ from eval.metrics.number import (
     weighted_means,
 )
 from eval.metrics.retrieval import (
-    RANKS,
     RECALL_RANKS,
     clip_score,
     cosines,
@@ -95,7 +94,7 @@ class PairTerms:
         distances = pool_distances(draw.texts, draw.motions, order, pool)
         values = {"mm_dist": np.diagonal(distances, axis1=1, axis2=2)}
         for suffix, directed in (("", distances), ("_motion_asks", distances.swapaxes(1, 2))):
-            for rank, found in enumerate(hits(directed, RANKS), start=1):
+            for rank, found in enumerate(hits(directed), start=1):
                 values[f"r_precision_top{rank}{suffix}"] = found
         for name, found in values.items():
             scores.add(name, float(found.mean()))
