@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -21,19 +20,27 @@ from torch import Tensor, nn
 from torch.nn.utils.rnn import pack_sequence
 
 from eval.sets.sets import SampleSet
-from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.errors import FormatError, MissingExtraError, MotionkitError
 from motionkit.core.motion import Caption
-from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import placed, process
 from motionkit.features.layout import PoseLayout, pose_layout
 from motionkit.features.statistics import Statistics
 from motionkit.io import npy, source_file
 from motionkit.io.humanml3d import HUMANML3D, KIT, Layout
-from motionkit.training.loop import CheckpointError, foreign_tensors, one_line, read_foreign, weights_digest
+from motionkit.training.loop import (
+    CheckpointError,
+    fill_checked,
+    foreign_tensors,
+    one_line,
+    read_foreign,
+    weights_digest,
+)
 
 VERSION = "guo/2"
 WHAT = "the evaluator of Guo et al."
+ENCODERS = ("movement_encoder", "motion_encoder", "text_encoder")
 FRAMES_PER_TOKEN = 4
 MAX_FRAMES = 196
 """Frames of the longest motion in the published protocol, whose loaders drop motions of 200 frames and more."""
@@ -45,8 +52,6 @@ SIGNATURE_TOLERANCE = 0.01
 MAX_NEGATIVE_HEIGHTS = 0.1
 # The root of a lying body is at a seventh of its usual height; a wrong unit is a factor of at least 39 (inches).
 MOST_HEIGHT_FACTOR = 10.0
-
-NetworkT = TypeVar("NetworkT", bound=nn.Module)
 
 
 class GuoError(MotionkitError):
@@ -66,13 +71,11 @@ class GuoFiles:
 class GuoKind:
     """A published evaluator that reads the first `num_inputs` numbers of a data set's pose vectors.
 
-    `dataset_name` is MDM's name of the data set in its copies of the files. `root_height` is the mean of the root's
-    height, `block_std` the std of each of the vector's blocks, in the files that belong to these weights.
+    `root_height` is the mean of the root's height, `block_std` the std of each of the vector's blocks, in its files.
     """
 
     name: str
     dataset: str
-    dataset_name: str
     published: Layout
     num_inputs: int
     root_height: float
@@ -86,22 +89,22 @@ class GuoKind:
     @property
     def num_statistics(self) -> int:
         """Numbers of mean.npy and std.npy."""
-        return self.layout.vector.size if self.name == "guo" else self.num_inputs
+        return self.published.num_values if self.name == "guo" else self.num_inputs
 
 
 # Sizes: text-to-motion, evaluator_wrapper.py; MARDM, utils/evaluators.py. Figures: the files of text-to-motion's
 # checkpoints (Comp_v6_KLD01/meta, Comp_v6_KLD005/meta) and MARDM's utils/eval_mean_std.
 KINDS = (
     GuoKind(
-        *("guo", "HumanML3D", "t2m", HUMANML3D, 259, 0.91752),
+        *("guo", "HumanML3D", HUMANML3D, 259, 0.91752),
         (5.1467e-4, 6.7693e-4, 6.1208e-3, 0.122555, 0.300386, 0.0195406, 0.0140949),
     ),
     GuoKind(
-        *("guo", "KIT", "kit", KIT, 247, 559.62),
+        *("guo", "KIT", KIT, 247, 559.62),
         (9.9157e-4, 1.172767, 4.58643, 93.6202, 0.342471, 29.1116, 5.26644e-3),
     ),
-    GuoKind("mardm", "HumanML3D", "t2m", HUMANML3D, 67, 0.93862, (0.01283, 0.01693, 0.15378, 0.12224)),
-    GuoKind("mardm", "KIT", "kit", KIT, 64, 559.62, (0.02479, 29.3192, 114.661, 93.6202)),
+    GuoKind("mardm", "HumanML3D", HUMANML3D, 67, 0.93862, (0.01283, 0.01693, 0.15378, 0.12224)),
+    GuoKind("mardm", "KIT", KIT, 64, 559.62, (0.02479, 29.3192, 114.661, 93.6202)),
 )
 
 
@@ -121,27 +124,23 @@ def read_statistics(folder: Path, kind: GuoKind) -> Statistics:
     Raises `GuoError` if they are missing, of another size, or of another convention: a wrong file changes every
     number without any other error, so nothing is guessed or repaired.
     """
-    prefixes = ("", "eval_", f"{kind.dataset_name}_")
-    pairs = [(folder / f"{prefix}mean.npy", folder / f"{prefix}std.npy") for prefix in prefixes]
+    # The names in Guo's archives, in MARDM's, and in MDM's copies of Guo's.
+    pairs = [(folder / f"{prefix}mean.npy", folder / f"{prefix}std.npy") for prefix in ("", "eval_", "t2m_", "kit_")]
     found = next((pair for pair in pairs if all(path.is_file() for path in pair)), None)
     if found is None:
-        expected = ", or ".join(f"{mean.name} and {std.name}" for mean, std in pairs)
-        raise GuoError(f"{folder}: there is no {expected}; they come with the evaluator (docs/evaluators.md)")
+        raise GuoError(f"{folder}: there is no mean.npy and std.npy; they come with the evaluator (docs/evaluators.md)")
     try:
         mean, std = (npy.parse_npy(path, source_file.read_bytes(path), (kind.num_statistics,)) for path in found)
         statistics = Statistics("humanml3d", mean.astype(np.float64), std.astype(np.float64))
     except (FormatError, ValueError) as error:
         raise GuoError(f"{folder}: {error}") from None
-    vector, belong = kind.layout.vector, f"in those of the {kind.name} evaluator of {kind.dataset}"
-    height = float(statistics.mean[vector.root_height].item())
-    if abs(height - kind.root_height) > SIGNATURE_TOLERANCE * kind.root_height:
-        raise GuoError(f"{folder}: the mean root height is {height:.4f}, {kind.root_height:.4f} {belong}")
-    for block, expected_std in zip(vector.blocks, kind.block_std, strict=False):
-        if np.abs(statistics.std[block] - expected_std).max() > SIGNATURE_TOLERANCE * expected_std:
-            raise GuoError(
-                f"{folder}: the std of numbers {block.start} to {block.stop - 1} is "
-                f"{statistics.std[block].mean():.3g}, {expected_std:.3g} {belong}"
-            )
+    signature = [("the mean root height", statistics.mean[kind.layout.vector.root_height], kind.root_height)]
+    for block, block_std in zip(kind.layout.vector.blocks, kind.block_std, strict=False):
+        signature.append((f"the std of numbers {block.start} to {block.stop - 1}", statistics.std[block], block_std))
+    for what, numbers, expected in signature:
+        if np.abs(numbers - expected).max() > SIGNATURE_TOLERANCE * expected:
+            belong = f"in those of the {kind.name} evaluator of {kind.dataset}"
+            raise GuoError(f"{folder}: {what} is {numbers.mean():.4g}, {expected:.4g} {belong}")
     return statistics
 
 
@@ -181,30 +180,22 @@ class WordVectors:
         Words outside the vocabulary are `unk`/OTHER. Raises `GuoError` for a caption without tokens, or with one that
         is not `word/POS`.
         """
+        tokens = [token.rpartition("/")[::2] for token in caption.tokens.split()[:MAX_TOKENS]]
+        # A tagger gives X to single words; `motionkit export` writes it for captions that nobody tagged.
+        untagged = len(tokens) > 2 and all(part == "X" for _, part in tokens)
+        if not tokens or untagged or not all(word for word, _ in tokens):
+            raise GuoError(
+                f"caption {caption.text!r} has no word/POS tokens, which Guo's text encoder reads; take those of "
+                "HumanML3D's or KIT's texts/*.txt (spaCy's en_core_web_sm wrote them; docs/evaluators.md)"
+            )
         important = {word: part for part, words in IMPORTANT.items() for word in words.split()}
         rows, parts = [], []
-        for word, part in ((START, ""), *_tokens(caption), (END, "")):
+        for word, part in ((START, ""), *tokens, (END, "")):
             part = important.get(word, part) if word in self.row else "OTHER"
             rows.append(self.row.get(word, self.row[UNKNOWN]))
             parts.append(PARTS_OF_SPEECH.index(part if part in PARTS_OF_SPEECH else "OTHER"))
         one_hot = np.eye(len(PARTS_OF_SPEECH))[parts]
         return torch.from_numpy(self.vectors[rows]), torch.from_numpy(one_hot)
-
-
-def _tokens(caption: Caption) -> list[tuple[str, str]]:
-    pairs = []
-    for token in caption.tokens.split()[:MAX_TOKENS]:
-        word, _, part = token.rpartition("/")
-        if not word:
-            raise GuoError(f"caption {caption.text!r}: token {token!r} is not of the form word/POS")
-        pairs.append((word, part))
-    # A tagger gives X to single words; `motionkit export` writes it for captions that nobody tagged.
-    if not pairs or (len(pairs) > 2 and all(part == "X" for _, part in pairs)):
-        raise GuoError(
-            f"caption {caption.text!r} has no word/POS tokens, which Guo's text encoder reads; take those of "
-            "HumanML3D's or KIT's texts/*.txt (spaCy's en_core_web_sm wrote them; docs/evaluators.md)"
-        )
-    return pairs
 
 
 def read_word_vectors(folder: Path) -> WordVectors:
@@ -217,7 +208,7 @@ def read_word_vectors(folder: Path) -> WordVectors:
         words, rows = (
             npy.parse_pickle(source_file.read_bytes(folder / f"our_vab_{name}.pkl")) for name in ("words", "idx")
         )
-        vectors = npy.parse_npy(path, source_file.read_bytes(path), (None, WORD_SIZE))
+        vectors = npy.parse_npy(path, source_file.read_bytes(path), (None, WORD_SIZE), kinds="f")
     except (FormatError, npy.PickleError) as error:
         raise GuoError(f"{folder}: {error}") from None
     if not isinstance(words, list) or not isinstance(rows, dict):
@@ -225,8 +216,6 @@ def read_word_vectors(folder: Path) -> WordVectors:
     for word in (START, END, UNKNOWN, *words):
         if not isinstance(row := rows.get(word), int) or not 0 <= row < len(vectors):
             raise GuoError(f"{folder}: our_vab_idx.pkl has the word {word!r} in row {row} of {len(vectors)}")
-    if vectors.dtype.kind != "f" or not np.isfinite(vectors).all():
-        raise GuoError(f"{path}: expected finite floating-point numbers")
     return WordVectors(vectors.astype(np.float64), {word: rows[word] for word in (START, END, UNKNOWN, *words)})
 
 
@@ -292,21 +281,6 @@ class GuoNetworks(nn.Module):
         return embeddings
 
 
-def with_weights(network: NetworkT, tensors: Mapping[str, Tensor], path: Path, what: str) -> NetworkT:
-    """A network that was built on the device "meta", with published weights.
-
-    Raises `CheckpointError` for a tensor that is missing, unexpected, of another shape, or not finite.
-    """
-    bad = next((name for name, tensor in tensors.items() if not torch.isfinite(tensor).all()), None)
-    if bad:
-        raise CheckpointError(f"{path}: {bad} holds numbers that are not finite")
-    try:
-        network.load_state_dict(dict(tensors), assign=True)
-    except RuntimeError as error:
-        raise CheckpointError(f"{path}: not {what} ({one_line(error)})") from None
-    return network.eval().requires_grad_(False)
-
-
 def fingerprint_of(
     terms: str, network: nn.Module, statistics: Statistics, *others: Float64[np.ndarray, "_rows _numbers"]
 ) -> str:
@@ -341,11 +315,6 @@ class GuoEvaluator:
         """Joint layout of the motions that it reads: `smpl22`, or `kit21` for KIT."""
         return self.kind.layout.name
 
-    @property
-    def vector_size(self) -> int:
-        """Size of the pose vectors: 263, or 251 for KIT."""
-        return self.kind.layout.vector.size
-
     def remark_at(self, fps: Fraction) -> str:
         """Empty: other framerates are refused."""
         return ""
@@ -357,25 +326,58 @@ class GuoEvaluator:
         than 5 or more than 200 poses.
         """
         self.check_fps(samples.fps, samples.name)
-        return self._embed(list(map(self.pose_vectors, samples.sequences)), samples.sequence_ids.__getitem__)
+        return self.embed_vectors(list(map(self.pose_vectors, samples.sequences)), samples.sequence_ids)
 
     def describe(
         self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction
     ) -> Float64[np.ndarray, "clips features"]:
         """One embedding per clip, in order: each clip is put on the floor, rotated and converted by itself."""
         self.check_fps(fps, "clips")
-        return self._embed(list(map(self.pose_vectors, clips)), "clip {}".format)
+        return self.embed_vectors(list(map(self.pose_vectors, clips)))
 
     def embed_vectors(
-        self, motions: Sequence[Float[np.ndarray, "_frames numbers"]]
+        self, motions: Sequence[Float[np.ndarray, "_frames numbers"]], names: Sequence[str] = ()
     ) -> Float64[np.ndarray, "motions features"]:
         """One row per motion given as pose vectors in their own units (not standardised), at the evaluator's framerate.
 
         As in published comparisons, a generator's vectors, times its std plus its mean, are passed directly to the
-        evaluator. Lengths are truncated to a multiple of 4. Raises `GuoError` for vectors of another size, NaN, vectors
-        that are still standardised or in another unit, and lengths under 4 or over 199.
+        evaluator. Lengths are truncated to a multiple of 4. Raises `GuoError`, by the motion's name or index, for
+        vectors of another size, NaN, vectors that are still standardised or in another unit, and lengths under 4 or
+        over 199.
         """
-        return self._embed(motions, "motion {}".format)
+        kind = self.kind
+        for index, motion in enumerate(motions):
+            fault = ""
+            if motion.ndim != 2 or motion.shape[1] not in (kind.published.num_values, kind.num_statistics):
+                fault = f"vectors of shape {motion.shape}; {kind.dataset}'s have {kind.published.num_values} numbers"
+            elif not FRAMES_PER_TOKEN <= len(motion) < MAX_FRAMES + FRAMES_PER_TOKEN:
+                most = f"{MAX_FRAMES} ({float(MAX_FRAMES / self.fps):.1f} s)"
+                fault = f"{len(motion)} frames; the evaluator knows motions of {FRAMES_PER_TOKEN} to {most}"
+            elif not np.isfinite(motion).all():
+                fault = "holds NaN or infinity"
+            if fault:
+                raise GuoError(f"{names[index] if names else f'motion {index}'}: {fault}")
+        heights = [motion[:, kind.layout.vector.root_height] for motion in motions]
+        below = float(np.mean(np.concatenate(heights) < 0))
+        if below > MAX_NEGATIVE_HEIGHTS:
+            raise GuoError(
+                f"the root is below the floor in {below:.0%} of the frames, so these vectors are still "
+                "standardised: multiply by the std and add the mean that they were standardised with"
+            )
+        usual = float(np.median([np.median(each) for each in heights]))
+        if not 1 / MOST_HEIGHT_FACTOR < usual / kind.root_height < MOST_HEIGHT_FACTOR:
+            raise GuoError(
+                f"the root's height is {usual:.3g} in the typical motion, {kind.root_height:.3g} in "
+                f"{kind.dataset}: these motions are in another unit"
+            )
+        whole = [len(motion) // FRAMES_PER_TOKEN * FRAMES_PER_TOKEN for motion in motions]
+        mean, std = (each[: kind.num_inputs] for each in (self.statistics.mean, self.statistics.std))
+
+        def embed(rows: list[int]) -> Tensor:
+            frames = [motions[row][: whole[row], : kind.num_inputs].astype(np.float64) for row in rows]
+            return self.embed_frames([torch.from_numpy((each - mean) / std) for each in frames])
+
+        return _in_batches(whole, embed)
 
     def embed_texts(self, captions: Sequence[Caption]) -> Float64[np.ndarray, "texts features"]:
         """One row per caption, in order.
@@ -413,50 +415,6 @@ class GuoEvaluator:
                 f"means nothing at another: evaluate with --fps {float(self.fps):g}"
             )
 
-    def _embed(
-        self, motions: Sequence[Float[np.ndarray, "_frames numbers"]], title: Callable[[int], str]
-    ) -> Float64[np.ndarray, "motions features"]:
-        self._check_vectors(motions, title)
-        num_inputs = self.kind.num_inputs
-        mean, std = self.statistics.mean[:num_inputs], self.statistics.std[:num_inputs]
-        whole = [len(motion) // FRAMES_PER_TOKEN * FRAMES_PER_TOKEN for motion in motions]
-
-        def embed(rows: list[int]) -> Tensor:
-            seen = [motions[row][: whole[row], :num_inputs].astype(np.float64) for row in rows]
-            return self.embed_frames([torch.from_numpy((each - mean) / std) for each in seen])
-
-        return _in_batches(whole, embed)
-
-    def _check_vectors(
-        self, motions: Sequence[Float[np.ndarray, "_frames numbers"]], title: Callable[[int], str]
-    ) -> None:
-        kind = self.kind
-        heights = []
-        for index, motion in enumerate(motions):
-            if motion.ndim != 2 or motion.shape[1] not in (self.vector_size, kind.num_statistics):
-                fault = f"vectors of shape {motion.shape}; {kind.dataset}'s have {self.vector_size} numbers"
-            elif not FRAMES_PER_TOKEN <= len(motion) < MAX_FRAMES + FRAMES_PER_TOKEN:
-                most = f"{MAX_FRAMES} ({float(MAX_FRAMES / self.fps):.1f} s)"
-                fault = f"{len(motion)} frames; the evaluator knows motions of {FRAMES_PER_TOKEN} to {most}"
-            elif not np.isfinite(motion).all():
-                fault = "holds NaN or infinity"
-            else:
-                heights.append(motion[:, kind.layout.vector.root_height])
-                continue
-            raise GuoError(f"{title(index)}: {fault}")
-        below = float(np.mean(np.concatenate(heights) < 0))
-        if below > MAX_NEGATIVE_HEIGHTS:
-            raise GuoError(
-                f"the root is below the floor in {below:.0%} of the frames, so these vectors are still "
-                "standardised: multiply by the std and add the mean that they were standardised with"
-            )
-        usual = float(np.median([np.median(each) for each in heights]))
-        if not 1 / MOST_HEIGHT_FACTOR < usual / kind.root_height < MOST_HEIGHT_FACTOR:
-            raise GuoError(
-                f"the root's height is {usual:.3g} in the typical motion, {kind.root_height:.3g} in "
-                f"{kind.dataset}: these motions are in another unit"
-            )
-
 
 def _in_batches(sizes: Sequence[int], embed: Callable[[list[int]], Tensor]) -> Float64[np.ndarray, "rows features"]:
     """Rows in the order of the input; batches have inputs of similar size."""
@@ -475,19 +433,18 @@ def load_guo(files: GuoFiles) -> GuoEvaluator:
     and `GuoError` for other invalid files.
     """
     path, loaded = files.weights, read_foreign(files.weights)
-    encoders = ("movement_encoder", "motion_encoder", "text_encoder")
     tensors = {
         f"{encoder}.{name}": tensor
-        for encoder in encoders
+        for encoder in ENCODERS
         for name, tensor in foreign_tensors(loaded, encoder, path, WHAT).items()
     }
     kind = kind_of(tensors.get("movement_encoder.main.0.weight"), ("guo", "mardm"), path, WHAT)
-    outputs = (f"{encoders[0]}.out_net", f"{encoders[1]}.input_emb", f"{encoders[2]}.input_emb")
-    lacking = torch.zeros(1)
-    widths = [len(tensors.get(f"{layer}.bias", lacking)) for layer in (*outputs, f"{encoders[1]}.output_net.3")]
-    with torch.device("meta"):
-        networks = GuoNetworks(kind.num_inputs, *widths)
-    networks = with_weights(networks, tensors, path, WHAT).double()
+    # The widths are the sizes of four biases; a name that is missing is reported with the others.
+    biases = (f"{ENCODERS[0]}.out_net", f"{ENCODERS[1]}.input_emb", f"{ENCODERS[2]}.input_emb")
+    widths = [len(tensors.get(f"{name}.bias", [0])) for name in (*biases, f"{ENCODERS[1]}.output_net.3")]
+    networks = GuoNetworks(kind.num_inputs, *widths)
+    fill_checked(networks.state_dict(), tensors, "weights", path, WHAT)
+    networks = networks.double().eval().requires_grad_(False)
     # Where the published archives have them: text-to-motion's models of both data sets, and T2M-GPT's.
     dataset = path.absolute().parent.parent.parent
     models = ("Comp_v6_KLD01", "Comp_v6_KLD005", "VQVAEV3_CB1024_CMT_H1024_NRES3")
@@ -510,3 +467,123 @@ def load_guo(files: GuoFiles) -> GuoEvaluator:
         return networks.embed_texts(list(map(words.sentence, captions)))
 
     return GuoEvaluator(kind.name, kind, statistics, fingerprint, networks.embed_motions, embed_captions)
+
+
+# MotionCLIP as trained by MARDM (neu-vi/MARDM @ 443313b, utils/evaluators.py): a text and a motion encoder; the cosine
+# of their embeddings is its CLIP-score. It reads the numbers that MARDM's other evaluator reads. The text encoder has
+# CLIP's vocabulary and token embeddings and a transformer of its own; it attends to all 77 places. The name is its
+# class's, and it is not the MotionCLIP of Tevet et al. 2022.
+MOTION_CLIP, KEY, NUM_HEADS = "MARDM's MotionCLIP", "contrast_model", 8
+
+
+def _transformer(width: int, feedforward: int, layers: int) -> nn.TransformerEncoder:
+    layer = nn.TransformerEncoderLayer(width, NUM_HEADS, feedforward, activation="gelu", batch_first=True)
+    return nn.TransformerEncoder(layer, layers, enable_nested_tensor=False)
+
+
+class MotionTransformer(nn.Module):
+    """The output of a class token that is prepended to motions of one length."""
+
+    def __init__(self, num_inputs: int, num_positions: int, sizes: tuple[int, int, int]) -> None:
+        super().__init__()
+        width = sizes[0]
+        self.query_token = nn.Parameter(torch.zeros(1, width))
+        self.embed_motion = nn.Linear(num_inputs, width)
+        self.sequence_pos_encoder = nn.ParameterDict({"pe": torch.zeros(num_positions, width)})
+        self.transformer = _transformer(*sizes)
+        self.out_ln = nn.LayerNorm(width)
+        self.out = nn.Linear(width, width)
+
+    def forward(self, frames: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch width"]:
+        """One vector per motion."""
+        token = self.query_token.expand(len(frames), 1, -1)
+        steps = torch.cat((token, self.embed_motion(frames)), dim=1)
+        states = self.transformer(steps + self.sequence_pos_encoder["pe"][: steps.shape[1]])
+        embedded: Tensor = self.out(self.out_ln(states[:, 0]))
+        return embedded
+
+
+class MotionClip(nn.Module):
+    """Both encoders; parameters have the published names. `sizes`: width, width of feedforward layers, layers.
+
+    Published sizes: 512, 1024, 8; 49,408 word pieces, 77 places of a text, 2,000 of a motion.
+    """
+
+    def __init__(
+        self, num_inputs: int, num_positions: int, vocabulary: int, context: int, sizes: tuple[int, int, int]
+    ) -> None:
+        super().__init__()
+        width = sizes[0]
+        self.motion_encoder = MotionTransformer(num_inputs, num_positions, sizes)
+        self.token_embedding = nn.Embedding(vocabulary, width)
+        self.positional_embedding = nn.Parameter(torch.zeros(context, width))
+        self.logit_scale = nn.Parameter(torch.zeros(()))
+        self.textTransEncoder = _transformer(*sizes)
+        self.text_ln = nn.LayerNorm(width)
+        self.out = nn.Linear(width, width)
+
+    def embed_motions(self, motions: list[Tensor]) -> Float[Tensor, "batch width"]:
+        """Unit-length embeddings of standardised frames [frames, numbers]; motions of one length form a batch."""
+        lengths = np.array([len(motion) for motion in motions])
+        embedded = torch.empty(len(motions), len(self.out.bias))
+        for length in np.unique(lengths).tolist():
+            rows = np.flatnonzero(lengths == length).tolist()
+            embedded[rows] = self.motion_encoder(torch.stack([motions[row] for row in rows]).float())
+        return nn.functional.normalize(embedded, dim=1)
+
+    def embed_texts(self, tokens: Int64[Tensor, "texts places"]) -> Float[Tensor, "texts width"]:
+        """Unit-length embeddings: the state at the first end-of-text token, which has the highest id."""
+        states = self.text_ln(self.textTransEncoder(self.token_embedding(tokens) + self.positional_embedding))
+        embedded: Tensor = self.out(states[torch.arange(len(tokens)), tokens.argmax(dim=1)])
+        return nn.functional.normalize(embedded, dim=1)
+
+
+def load_motion_clip(folder: Path) -> GuoEvaluator:
+    """Load a folder with MARDM's weights and statistics and CLIP's vocabulary, as an evaluator of cosines.
+
+    finest.tar of its `text_mot_match_clip/model`; eval_mean.npy and eval_std.npy of `utils/eval_mean_std`; vocab.json
+    and merges.txt.
+
+    Raises `CheckpointError` for invalid weights, `GuoError` for other invalid files, and `MissingExtraError` without
+    the extra `text`.
+    """
+    path = folder / "finest.tar"
+    tensors = foreign_tensors(read_foreign(path), KEY, path, MOTION_CLIP)
+    kind = kind_of(tensors.get("motion_encoder.embed_motion.weight"), ("mardm",), path, MOTION_CLIP)
+    try:
+        vocabulary, width = tensors["token_embedding.weight"].shape
+        (context, _), (num_positions, _) = (
+            tensors[name].shape for name in ("positional_embedding", "motion_encoder.sequence_pos_encoder.pe")
+        )
+        feedforward = len(tensors["textTransEncoder.layers.0.linear1.bias"])
+    except (KeyError, ValueError, TypeError) as error:
+        raise CheckpointError(f"{path}: not {MOTION_CLIP} ({error})") from None
+    layers = sum(name.startswith("textTransEncoder.") and name.endswith("linear1.bias") for name in tensors)
+    network = MotionClip(kind.num_inputs, num_positions, vocabulary, context, (width, feedforward, layers))
+    fill_checked(network.state_dict(), tensors, KEY, path, MOTION_CLIP)
+    network = network.eval().requires_grad_(False)
+    try:
+        from transformers import CLIPTokenizer
+    except ImportError:
+        raise MissingExtraError("transformers", "text") from None
+    try:
+        tokenizer = CLIPTokenizer.from_pretrained(folder, local_files_only=True)
+    except Exception as error:  # the tokenizers library raises no narrower class
+        raise GuoError(f"{folder}: vocab.json and merges.txt are not a CLIP tokenizer's ({one_line(error)})") from None
+    if len(tokenizer) != vocabulary or tokenizer.eos_token_id != vocabulary - 1:
+        raise GuoError(
+            f"{folder}: {len(tokenizer)} word pieces with the end of text at {tokenizer.eos_token_id}; CLIP's are "
+            f"{vocabulary:,}, this one the last"
+        )
+
+    def embed_captions(captions: list[Caption]) -> Tensor:
+        # As `clip.tokenize(…, truncate=True)` (openai/CLIP, clip/clip.py), which pads with zeros.
+        texts = [caption.text for caption in captions]
+        padded = tokenizer(texts, padding="max_length", truncation=True, max_length=context, return_tensors="pt")
+        return network.embed_texts(padded["input_ids"] * padded["attention_mask"])
+
+    statistics = read_statistics(folder, kind)
+    fingerprint = fingerprint_of(f"motion-clip {kind.dataset}", network, statistics)
+    return GuoEvaluator(
+        "motion-clip", kind, statistics, fingerprint, network.embed_motions, embed_captions, "clip_score"
+    )

@@ -1,24 +1,19 @@
-"""Motions of text-to-motion: real captioned ones at one framerate, and those that a model generates for their captions.
-
-Every motion is generated once and embedded both as it is and planted: two rows of a table.
-"""
+"""Motions of text-to-motion and their embeddings: real captioned ones, and those that a model generates for them."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cache, partial
-from hashlib import sha256
-from json import dumps
 from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from eval.native_evaluator.evaluator import NativeEvaluator
 from eval.sets.motions import AT_ONCE, NoRealMotionError, real_motion
 from eval.sets.sets import RowId, SampleSet, Variant, middle, sample_set
-from eval.text_motion.embedder import Embedder, Embeddings
-from eval.text_motion.protocol import LengthRule, MultiModalityRule
+from eval.text_motion.guo import GuoEvaluator
+from eval.text_motion.protocol import NUM_GENERATIONS, LengthRule, MultiModalityRule
 from eval.text_motion.scores import TextMotionPairs
 from motionkit.core.motion import Caption
 from motionkit.core.shapes import Float32, Float64, Int64
@@ -35,6 +30,16 @@ if TYPE_CHECKING:
 REPEATED_FROM = 1_000_000
 """Requests of MultiModality are numbered from here, so that they share no random numbers with the others."""
 MADE_OF_22 = "its 21 joints made of 22, with the real motions' bone lengths"
+Embeddings = Float64[np.ndarray, "rows features"]
+TextMotionEvaluator = GuoEvaluator | NativeEvaluator
+"""Embeds whole motions and sentences in one space; a motion's row depends on that motion alone, not on its batch."""
+
+
+def embed_captions(evaluator: TextMotionEvaluator, captions: Sequence[Caption]) -> Embeddings:
+    """One row per caption; the rows of equal captions are equal, which the ranks of R-Precision depend on."""
+    different = list(dict.fromkeys(captions))
+    row = {caption: index for index, caption in enumerate(different)}
+    return evaluator.embed_texts(different)[[row[caption] for caption in captions]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,70 +138,46 @@ def as_kit_joints(samples: SampleSet, lengths: Float32[np.ndarray, "21"]) -> Sam
 
 @dataclass(frozen=True, eq=False)
 class ModelMotions:
-    """Embeddings of a model's motions, which depend on `identity` and `seed` besides the requests.
+    """Embeddings of a model's motions as they are and planted, which are two rows of a table; each is generated once.
 
-    They are the row of the system `name`, and that of its planted motions. With `kit_lengths` motions are converted to
-    KIT-ML's 21 joints before embedding. Raises what the model raises for a caption it does not support.
+    With `kit_lengths` motions are converted to KIT-ML's 21 joints before embedding. Raises what the model raises for a
+    caption it does not support.
     """
 
     name: str
     model: GenerativeModel
-    identity: Mapping[str, str]
+    evaluator: TextMotionEvaluator
     seed: int
     kit_lengths: Float32[np.ndarray, "21"] | None = None
     on_motions: Callable[[int], None] = lambda count: None
 
-    @property
-    def rows(self) -> tuple[RowId, RowId]:
-        """Both rows."""
-        return RowId(self.name), RowId(self.name, Variant.PLANTED)
-
-    def draw(self, real: CaptionedMotions, number: int, embedder: Embedder) -> dict[RowId, TextMotionPairs]:
+    def draw(self, real: CaptionedMotions, texts: Embeddings, number: int) -> dict[RowId, TextMotionPairs]:
         """One motion for each caption, as long as the real one; `number` counts independent draws."""
-        embedded = self._embedded(real.requests(), self.seed + number, 0, real.samples.fps, embedder)
-        texts = embedder.texts(real.captions)
+        embedded = self._embedded(real.requests(), self.seed + number, 0, real.samples.fps)
         return {row: TextMotionPairs(texts, motions, real.samples.sequence_ids) for row, motions in embedded.items()}
 
     def repeated(
-        self, real: CaptionedMotions, rule: MultiModalityRule, most_motions: int, embedder: Embedder
+        self, real: CaptionedMotions, rule: MultiModalityRule, most_motions: int
     ) -> dict[RowId, Float64[np.ndarray, "texts generations features"]]:
         """Several motions per caption, for as many captions as the rule has and `most_motions` allows.
 
         Empty if not even two motions of one text are allowed.
         """
-        generations = min(rule.num_generations, most_motions)
+        generations = min(NUM_GENERATIONS, most_motions)
         if generations < 2:
             return {}
         different = np.unique(real.samples.captions, return_index=True)[1]
         texts = min(rule.num_texts or len(different), len(different), most_motions // generations)
         chosen = np.random.default_rng((self.seed, 8)).choice(different, size=texts, replace=False)
         requests = [each for each in real.select(np.sort(chosen)).requests() for _ in range(generations)]
-        embedded = self._embedded(requests, self.seed, REPEATED_FROM, real.samples.fps, embedder)
+        embedded = self._embedded(requests, self.seed, REPEATED_FROM, real.samples.fps)
         return {row: motions.reshape(texts, generations, -1) for row, motions in embedded.items()}
 
     def _embedded(
-        self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction, embedder: Embedder
-    ) -> dict[RowId, Embeddings]:
-        requests_sha256 = sha256(dumps([asdict(request) for request in requests]).encode()).hexdigest()
-        key = {"model": dict(self.identity), "requests": requests_sha256, "seed": seed, "first": first, "fps": str(fps)}
-        if self.kit_lengths is not None:
-            key["kit_lengths"] = sha256(self.kit_lengths.astype("<f4").tobytes()).hexdigest()
-
-        @cache
-        def motions() -> dict[RowId, SampleSet]:
-            return self._motions(requests, seed, first, fps)
-
-        def embed(row: RowId) -> Embeddings:
-            return embedder.evaluator.embed_motions(motions()[row])
-
-        keys = zip(self.rows, (key, key | {"planted": "free"}), strict=True)
-        return {row: embedder.kept(own, len(requests), partial(embed, row)) for row, own in keys}
-
-    def _motions(
         self, requests: Sequence[GenerationRequest], seed: int, first: int, fps: Fraction
-    ) -> dict[RowId, SampleSet]:
+    ) -> dict[RowId, Embeddings]:
         names = [f"motion {first + index}" for index in range(len(requests))]
-        as_it_is, planted_row = self.rows
+        as_it_is, planted_row = RowId(self.name), RowId(self.name, Variant.PLANTED)
         positions: dict[RowId, list[Float32[np.ndarray, "_frames 22 3"]]] = {as_it_is: [], planted_row: []}
         for start in range(0, len(requests), AT_ONCE):
             fields = self.model.generate(requests[start : start + AT_ONCE], seed=seed, first=first + start)
@@ -205,6 +186,7 @@ class ModelMotions:
             positions[as_it_is] += motions
             positions[planted_row] += [to_motion(planted(field, "free"), fps).joint_positions for field in fields]
             self.on_motions(len(motions))
-        texts, lengths = [request.text for request in requests], self.kit_lengths
-        sets = {row: sample_set(str(row), fps, motions, names, texts) for row, motions in positions.items()}
-        return sets if lengths is None else {row: as_kit_joints(each, lengths) for row, each in sets.items()}
+        sets = {row: sample_set(str(row), fps, motions, names) for row, motions in positions.items()}
+        if (lengths := self.kit_lengths) is not None:
+            sets = {row: as_kit_joints(each, lengths) for row, each in sets.items()}
+        return {row: self.evaluator.embed_motions(each) for row, each in sets.items()}

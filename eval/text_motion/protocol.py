@@ -12,6 +12,8 @@ from typing import Literal
 from motionkit.core.errors import UsageError
 
 KIT_FPS = Fraction(25, 2)
+NUM_GENERATIONS = 30
+"""Motions of a text for MultiModality in every protocol."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +24,6 @@ class MultiModalityRule:
     """
 
     num_texts: int | None = 100
-    num_generations: int = 30
-    num_pairs: int = 10
     pairs: Literal["distinct", "shared"] = "shared"
     replications: int = 20
 
@@ -51,9 +51,8 @@ class LengthRule:
 
     def limited(self, longest_seconds: float) -> "LengthRule":
         """The rule for a model of shorter motions: real ones are cropped to its longest duration."""
-        if longest_seconds >= self.longest_seconds:
-            return self
-        return LengthRule(min(self.shortest_seconds, longest_seconds), longest_seconds, "cropped")
+        shorter = LengthRule(min(self.shortest_seconds, longest_seconds), longest_seconds, "cropped")
+        return shorter if longest_seconds < self.longest_seconds else self
 
 
 @dataclass(frozen=True)
@@ -85,26 +84,24 @@ SHARED, DISTINCT = MultiModalityRule(), MultiModalityRule(pairs="distinct")
 class TextMotionProtocol:
     """Protocol from embeddings of texts and motions to a table's numbers.
 
-    `pool`: number of candidates per text, in a random order of all motions. (In published code a pool is a batch of a
-    shuffled loader; the distribution is the same.) `remainder`: metrics that leave out the last, incomplete pool.
-    `num_motions`: number of generated motions used, None for all. `reference`: FID against the whole real set
-    ("whole"), the real motions of the same texts ("paired") or another random order of the real set with its own
-    remainder ("redraw"). `asks`: the direction of the source's R-Precision; both are computed. `details`: metrics that
-    are computed once, on the first draw. `kit_lengths` are the `lengths` of KIT-ML.
+    `pool`: number of candidates per text, in a random order of all motions (in published code, a batch of a shuffled
+    loader). `remainder`: metrics that leave out the last, incomplete pool. `num_motions`: number of generated motions
+    used, None for all. `reference`: FID against the whole real set ("whole"), the real motions of the same texts
+    ("paired") or another random order of the real set with its own remainder ("redraw"). `asks`: the direction of the
+    source's R-Precision; both are computed. `details`: metrics that are computed once, on the first draw. `kit_lengths`
+    are the `lengths` of KIT-ML.
     """
 
     name: str
     title: str
     source: str
-    version: int = 1
-    pool: int = 32
-    remainder: Literal["R-Precision", "every metric"] = "every metric"
     num_motions: int | None = None
+    remainder: Literal["R-Precision", "every metric"] = "every metric"
     reference: Literal["whole", "paired", "redraw"] = "paired"
-    asks: Literal["text", "motion"] = "text"
-    replications: int = 20
-    diversity_pairs: int = 300
     multimodality: MultiModalityRule = SHARED
+    asks: Literal["text", "motion"] = "text"
+    pool: int = 32
+    replications: int = 20
     lengths: LengthRule = PUBLISHED_LENGTHS
     kit_lengths: LengthRule = PUBLISHED_KIT_LENGTHS
     details: tuple[str, ...] = ()
@@ -143,11 +140,19 @@ TMR = replace(
         "compare.",
     ),
 )
-ONE_ABOVE_099 = RetrievalRule(
-    "all, texts that the evaluator scores above 0.99 are one",
-    same_above=0.99,
-    same_by="texts",
-    directions=("text asks for motion", "motion asks for real motion"),
+KIMODO = replace(
+    TMR,
+    name="kimodo",
+    title="Kimodo",
+    source="nv-tlabs/kimodo @ 7330e7e, kimodo/metrics/tmr.py",
+    retrieval=(
+        RetrievalRule(
+            "all, texts that the evaluator scores above 0.99 are one",
+            same_above=0.99,
+            same_by="texts",
+            directions=("text asks for motion", "motion asks for real motion"),
+        ),
+    ),
 )
 TEXT_MOTION_PROTOCOLS = (
     NATIVE,
@@ -165,7 +170,7 @@ TEXT_MOTION_PROTOCOLS = (
         *("mdm", "MDM", "Tevet et al. 2023, eval/eval_humanml.py"),
         num_motions=1024,
         reference="redraw",
-        multimodality=MultiModalityRule(num_texts=128, replications=5),
+        multimodality=MultiModalityRule(128, replications=5),
         remarks=("MDM generates 1,024 motions: its FID does not compare with that of 4,640.",),
     ),
     TextMotionProtocol(
@@ -173,25 +178,19 @@ TEXT_MOTION_PROTOCOLS = (
     ),
     TextMotionProtocol(
         *("t2m-gpt", "T2M-GPT", "Zhang et al. 2023, utils/eval_trans.py"),
-        multimodality=MultiModalityRule(num_texts=None),
+        multimodality=MultiModalityRule(None),
         remarks=("Its models choose the length of a motion; here a motion is as long as the sample is.",),
     ),
     TextMotionProtocol(
-        *("momask", "MoMask", "Guo et al. 2024, utils/eval_t2m.py"), multimodality=MultiModalityRule(num_texts=96)
+        *("momask", "MoMask", "Guo et al. 2024, utils/eval_t2m.py"), multimodality=MultiModalityRule(96)
     ),
     TextMotionProtocol(
         *("mardm", "MARDM", "neu-vi/MARDM @ 443313b, evaluation_MARDM.py and utils/eval_utils.py"),
-        multimodality=MultiModalityRule(num_texts=96),
+        multimodality=MultiModalityRule(96),
         remarks=("MARDM's evaluators read 67 numbers (KIT-ML: 64): --evaluator guo,motion-clip with its own weights.",),
     ),
     TMR,
-    replace(
-        TMR,
-        name="kimodo",
-        title="Kimodo",
-        source="nv-tlabs/kimodo @ 7330e7e, kimodo/metrics/tmr.py",
-        retrieval=(ONE_ABOVE_099,),
-    ),
+    KIMODO,
 )
 
 

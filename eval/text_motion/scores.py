@@ -1,7 +1,7 @@
 """Text-to-motion scores from embeddings of texts, of real and of generated motions, and their bootstrap over takes."""
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -9,8 +9,9 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
-from eval.metrics.actions import diversity, multimodality, multimodality_shared_pairs
-from eval.metrics.distributions import Gaussian, fid_infinity, fit_gaussian, frechet_distance, kid
+from eval.metrics.actions import NUM_PAIRS, diversity, multimodality, multimodality_shared_pairs
+from eval.metrics.actions import PAIRS as DIVERSITY_PAIRS
+from eval.metrics.distributions import fid_infinity, fit_gaussian, frechet_distance, kid
 from eval.metrics.number import (
     Number,
     Resampled,
@@ -33,15 +34,13 @@ from eval.metrics.retrieval import (
     retrieval,
     tmr_score,
 )
-from eval.text_motion.protocol import MultiModalityRule, RetrievalRule, TextMotionProtocol
+from eval.text_motion.protocol import NUM_GENERATIONS, RetrievalRule, TextMotionProtocol
 from motionkit.core.shapes import Bool, Float, Float64, Int64
 
 PAIR_SCORES = {"clip_score": clip_score, "tmr_score": tmr_score}
-GENERATED, REAL, DIVERSITY, MULTIMODALITY = range(4)
-"""Random streams of one replication, so that a metric's draws do not affect another's."""
-RETRIEVAL = 9
-"""The random stream of retrieval's pools."""
-SUFFIXES: Mapping[str, str] = {
+GENERATED, REAL, DIVERSITY, MULTIMODALITY, RETRIEVAL = 0, 1, 2, 3, 9
+"""Random streams, so that a metric's draws do not affect another's."""
+SUFFIXES = {
     "text asks for motion": "",
     "motion asks for text": "_motion_asks",
     "motion asks for real motion": "_real_asked",
@@ -53,21 +52,11 @@ class TextMotionPairs:
     """Embeddings of texts and of the motions that belong to them, row by row, in one space.
 
     `takes` name the real take of each pair, which intervals resample; without them each row is a take of its own.
-    Raises `ValueError` for unequal numbers or widths, or no pairs.
     """
 
-    texts: Float[np.ndarray, "texts numbers"]
-    motions: Float[np.ndarray, "motions features"]
+    texts: Float[np.ndarray, "pairs numbers"]
+    motions: Float[np.ndarray, "pairs numbers"]
     takes: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.texts.shape != self.motions.shape or not len(self.texts):
-            raise ValueError(
-                f"embeddings of texts are {self.texts.shape}, of motions {self.motions.shape}: "
-                "one of either for each pair"
-            )
-        if len(self.takes) not in (0, len(self.texts)):
-            raise ValueError(f"{len(self.takes)} takes for {len(self.texts)} pairs")
 
     def select(self, rows: Int64[np.ndarray, "chosen"]) -> "TextMotionPairs":
         """Some of the pairs, in the order of `rows`."""
@@ -138,7 +127,6 @@ def score_text_motion(
     *,
     repeated: Float[np.ndarray, "texts generations features"] | None = None,
     pair_score: str = "",
-    on_replication: Callable[[], None] = lambda: None,
 ) -> Scores:
     """R-Precision in both directions, MM-Dist, FID, Diversity and MultiModality of generated motions by a protocol.
 
@@ -150,25 +138,39 @@ def score_text_motion(
 
     Raises `ValueError` for pairs that do not fit together or are not finite, and fewer than a pool of them.
     """
-    _check(real, draws, protocol)
-    scores, terms, fid = Scores(remarks=list(protocol.remarks)), PairTerms(draws), _fid_of(real, draws, protocol, seed)
+    if protocol.reference == "paired" and any(len(draw.motions) != len(real.motions) for draw in draws):
+        raise ValueError(
+            f"protocol {protocol.name!r} compares with the real motions of the same texts, but there are "
+            f"{len(draws[0].motions)} generated and {len(real.motions)} real ones: choose another protocol (t2m, mdm)"
+        )
+    scores, terms = Scores(remarks=list(protocol.remarks)), PairTerms(draws)
+
+    @cache  # whole sets are compared once
+    def fid(which: int, rows: bytes, real_rows: bytes) -> float:
+        generated, reference = (np.frombuffer(each, np.int64) for each in (rows, real_rows))
+        return frechet_distance(fit_gaussian(real.motions[reference]), fit_gaussian(draws[which].motions[generated]))
+
     # As in `fid`: a single BLAS thread is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
         for replication in range(protocol.replications):
             which = replication % len(draws)
             draw = draws[which]
             order = np.random.default_rng((seed, replication, GENERATED)).permutation(len(draw.motions))
-            order = order[: _num_counted(draw, protocol)]
+            order = order[: _num_used(len(order), protocol.num_motions, protocol)]
             terms.add(which, order, protocol.pool, scores)
-            scores.add("fid", fid(which, order, replication))
+            reference = order
+            if protocol.reference != "paired":
+                reference = np.random.default_rng((seed, replication, REAL)).permutation(len(real.motions))
+            if protocol.reference == "redraw":
+                reference = reference[: _num_used(len(reference), None, protocol)]
+            scores.add("fid", fid(which, np.sort(order).tobytes(), np.sort(reference).tobytes()))
             if pair_score:
                 scores.add(pair_score, PAIR_SCORES[pair_score](draw.texts[order], draw.motions[order]))
             rng = np.random.default_rng((seed, replication, DIVERSITY))
-            scores.add("diversity", diversity(draw.motions[order], rng, protocol.diversity_pairs))
-            if repeated is not None and replication < protocol.multimodality.replications:
-                rng = np.random.default_rng((seed, replication, MULTIMODALITY))
-                _add_multimodality(repeated, protocol.multimodality, rng, scores)
-            on_replication()
+            scores.add("diversity", diversity(draw.motions[order], rng))
+        scores.sizes = {"real": len(reference), "generated": len(order), "draws": len(draws)}
+        if repeated is not None:
+            _add_multimodality(repeated, protocol, seed, scores)
         if real is not draws[0]:  # once: they cost more than everything else, and draw no pools or pairs
             if "fid_infinity" in protocol.details:
                 try:
@@ -179,115 +181,53 @@ def score_text_motion(
             if "kid" in protocol.details:
                 scores.add("kid", kid(real.motions, draws[0].motions))
         scores.resampled |= terms.resampled(real, pair_score)
-        if repeated is not None and min(repeated.shape[:2]) > 1:
-            distances = np.linalg.norm(repeated - np.roll(repeated, 1, axis=1), axis=-1).mean(axis=1)
-            weights = Resampling().weights([f"text {number}" for number in range(len(repeated))])
-            scores.resampled[protocol.multimodality.metric] = weighted_means(
-                distances, np.arange(len(repeated)), weights
-            )
     scores.remark_on_draws(len(draws), protocol.replications)
-    counted = _num_counted(draws[0], protocol)
-    num_real = {"whole": len(real.motions), "paired": counted, "redraw": _num_kept(len(real.motions), protocol)}
-    scores.sizes = {"real": num_real[protocol.reference], "generated": counted, "draws": len(draws)}
-    _remark_on_sizes(real.motions.shape[1], protocol, scores)
-    if repeated is not None:
-        scores.sizes |= {"multimodality texts": len(repeated), "multimodality generations": repeated.shape[1]}
-    return scores
-
-
-def _check(real: TextMotionPairs, draws: Sequence[TextMotionPairs], protocol: TextMotionProtocol) -> None:
-    if not draws:
-        raise ValueError("there is no set of motions to score")
-    for draw in draws:
-        number, features = draw.motions.shape
-        if features != real.motions.shape[1]:
-            raise ValueError(f"embeddings of real motions have {real.motions.shape[1]} numbers, of others {features}")
-        if number < protocol.pool:
-            raise ValueError(f"{number} motions: protocol {protocol.name!r} has a text choose among {protocol.pool}")
-        if protocol.reference == "paired" and number != len(real.motions):
-            raise ValueError(
-                f"protocol {protocol.name!r} compares with the real motions of the same texts, but there are {number} "
-                f"generated and {len(real.motions)} real ones: choose another protocol (t2m, mdm)"
-            )
-
-
-def _num_counted(draw: TextMotionPairs, protocol: TextMotionProtocol) -> int:
-    """Number of generated motions used."""
-    number = len(draw.motions)
-    return _num_kept(number if protocol.num_motions is None else min(number, protocol.num_motions), protocol)
-
-
-def _num_kept(number: int, protocol: TextMotionProtocol) -> int:
-    return number if protocol.remainder == "R-Precision" else number // protocol.pool * protocol.pool
-
-
-def _fid_of(
-    real: TextMotionPairs, draws: Sequence[TextMotionPairs], protocol: TextMotionProtocol, seed: int
-) -> Callable[[int, Int64[np.ndarray, "_chosen"], int], float]:
-    """FID of some motions (`order`) of a draw against the protocol's reference; whole sets are fitted once."""
-
-    @cache
-    def whole(which: int | None) -> Gaussian:
-        return fit_gaussian(real.motions if which is None else draws[which].motions)
-
-    @cache
-    def whole_distance(which: int) -> float:
-        return frechet_distance(whole(None), whole(which))
-
-    def fid(which: int, order: Int64[np.ndarray, "_chosen"], replication: int) -> float:
-        motions, reference = draws[which].motions, order
-        if protocol.reference == "redraw":
-            reference = np.random.default_rng((seed, replication, REAL)).permutation(len(real.motions))
-            reference = reference[: _num_kept(len(real.motions), protocol)]
-        all_real = protocol.reference == "whole" or len(reference) == len(real.motions)
-        all_generated = len(order) == len(motions)
-        if all_real and all_generated:
-            return whole_distance(which)
-        return frechet_distance(
-            whole(None) if all_real else fit_gaussian(real.motions[reference]),
-            whole(which) if all_generated else fit_gaussian(motions[order]),
-        )
-
-    return fid
-
-
-def _add_multimodality(
-    repeated: Float[np.ndarray, "texts generations features"],
-    rule: MultiModalityRule,
-    rng: np.random.Generator,
-    scores: Scores,
-) -> None:
-    texts, generations = repeated.shape[:2]
-    needed = 2 * rule.num_pairs if rule.pairs == "distinct" else rule.num_pairs
-    if generations < needed:
-        scores.remark(f"MultiModality is left out: it needs {needed} motions of each text, there are {generations}")
-        return
-    if generations != rule.num_generations or texts < (rule.num_texts or 0):
-        of_texts = "every text" if rule.num_texts is None else f"{rule.num_texts} texts"
-        scores.remark(
-            f"the protocol has {rule.num_generations} motions of {of_texts} for MultiModality; here are {generations} "
-            f"motions of {texts} texts"
-        )
-    chosen = repeated[:, : rule.num_generations]
-    if rule.num_texts is not None and texts > rule.num_texts:
-        chosen = chosen[rng.choice(texts, size=rule.num_texts, replace=False)]
-    function = multimodality if rule.pairs == "distinct" else multimodality_shared_pairs
-    scores.add(rule.metric, function(chosen, rng=rng, num_pairs=rule.num_pairs))
-
-
-def _remark_on_sizes(features: int, protocol: TextMotionProtocol, scores: Scores) -> None:
-    generated, least = scores.sizes["generated"], min(scores.sizes["real"], scores.sizes["generated"])
+    generated, features = scores.sizes["generated"], real.motions.shape[1]
     if protocol.num_motions is not None and generated < protocol.num_motions:
         scores.remark(
             f"protocol {protocol.name!r} counts {protocol.num_motions:,} generated motions, here are {generated:,}: "
             "FIDs of different N do not compare"
         )
-    if least <= features:
+    if (least := min(scores.sizes["real"], generated)) <= features:
         scores.remark(
             f"N = {least} for {features} features: FID is that of two degenerate Gaussians and says little; read KID"
         )
-    if generated < protocol.diversity_pairs:
-        scores.remark(f"Diversity pairs {generated} motions, not {protocol.diversity_pairs}")
+    if generated < DIVERSITY_PAIRS:
+        scores.remark(f"Diversity pairs {generated} motions, not {DIVERSITY_PAIRS}")
+    return scores
+
+
+def _num_used(number: int, most: int | None, protocol: TextMotionProtocol) -> int:
+    """Number of motions used, of at most `most`: all, or all whole pools."""
+    number = number if most is None else min(number, most)
+    return number if protocol.remainder == "R-Precision" else number // protocol.pool * protocol.pool
+
+
+def _add_multimodality(
+    repeated: Float[np.ndarray, "texts generations features"], protocol: TextMotionProtocol, seed: int, scores: Scores
+) -> None:
+    """MultiModality over the replications of its rule, and its bootstrap over texts."""
+    rule, (texts, generations) = protocol.multimodality, repeated.shape[:2]
+    scores.sizes |= {"multimodality texts": texts, "multimodality generations": generations}
+    function = multimodality if rule.pairs == "distinct" else multimodality_shared_pairs
+    needed = 2 * NUM_PAIRS if rule.pairs == "distinct" else NUM_PAIRS
+    if generations < needed:
+        scores.remark(f"MultiModality is left out: it needs {needed} motions of each text, there are {generations}")
+    elif generations != NUM_GENERATIONS or texts < (rule.num_texts or 0):
+        of_texts = "every text" if rule.num_texts is None else f"{rule.num_texts} texts"
+        scores.remark(
+            f"the protocol has {NUM_GENERATIONS} motions of {of_texts} for MultiModality; here are {generations} "
+            f"motions of {texts} texts"
+        )
+    for replication in range(min(rule.replications, protocol.replications) if generations >= needed else 0):
+        rng, chosen = np.random.default_rng((seed, replication, MULTIMODALITY)), repeated[:, :NUM_GENERATIONS]
+        if rule.num_texts is not None and texts > rule.num_texts:
+            chosen = chosen[rng.choice(texts, size=rule.num_texts, replace=False)]
+        scores.add(rule.metric, function(chosen, rng=rng))
+    if min(texts, generations) > 1:
+        distances = np.linalg.norm(repeated - np.roll(repeated, 1, axis=1), axis=-1).mean(axis=1)
+        weights = Resampling().weights([f"text {number}" for number in range(texts)])
+        scores.resampled[rule.metric] = weighted_means(distances, np.arange(texts), weights)
 
 
 def score_retrieval(
@@ -321,13 +261,6 @@ def score_retrieval(
                     found.setdefault(f"recall_at_{rank}{suffix}", []).append(share)
                 found.setdefault(f"median_rank{suffix}", []).append(ranked.median_rank)
     return {name: over_replications(values) for name, values in found.items()}
-
-
-def no_distance(
-    queries: Float[np.ndarray, "queries numbers"], candidates: Float[np.ndarray, "candidates numbers"]
-) -> Float[np.ndarray, "queries candidates"]:
-    """Constant distances, by which retrieval is chance."""
-    return np.zeros((len(queries), len(candidates)))
 
 
 def share_of_same_texts(

@@ -21,15 +21,15 @@ from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, refusal
 from eval.sets.sets import REAL, RowId, SampleSet, check_sample_names, middle, size_remarks
 from eval.tables.systems import Trained, TrainedModel, trained_models
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
-from eval.text_motion.embedder import FOLDER, Embedder, PoseVectorEvaluator, TextMotionEvaluator, fingerprint_of
-from eval.text_motion.guo import load_guo
-from eval.text_motion.motion_clip import load_motion_clip
+from eval.text_motion.guo import GuoEvaluator, load_guo, load_motion_clip
 from eval.text_motion.motions import (
     MADE_OF_22,
     CaptionedMotions,
     ModelMotions,
+    TextMotionEvaluator,
     as_kit_joints,
     captioned_motions,
+    embed_captions,
     kit_bone_lengths,
 )
 from eval.text_motion.protocol import KIT_FPS, RetrievalRule, TextMotionProtocol, find_text_motion_protocol
@@ -37,7 +37,6 @@ from eval.text_motion.scores import (
     SUFFIXES,
     PairTerms,
     TextMotionPairs,
-    no_distance,
     score_retrieval,
     score_text_motion,
     share_of_same_texts,
@@ -212,9 +211,8 @@ class _Comparison:
             "fingerprint": evaluator.fingerprint,
             "protocol": protocol.name,
         }
-        self.embedder = Embedder(evaluator, config.results / FOLDER)
         with task(config.on_progress, f"{evaluator.name}: embedding real motion"):
-            texts, motions = self.embedder.texts(real.captions), self.embedder.motions(real.samples)
+            texts, motions = embed_captions(evaluator, real.captions), evaluator.embed_motions(real.samples)
             self.pairs = TextMotionPairs(texts, motions, real.samples.sequence_ids)
         # The real motions to generate for: all, or a random subset of the requested size.
         most = min(config.max_motions, protocol.num_motions or number)
@@ -239,7 +237,7 @@ class _Comparison:
                 rows += self._model_rows(name, model)
         for folder in config.sample_folders:
             with config.missing.skipping(f"{folder.name}, {self.evaluator.name}", (MotionkitError, ValueError)):
-                found = sample_embeddings(folder, self.real, protocol, self.embedder)
+                found = sample_embeddings(folder, self.real, protocol, self.evaluator)
                 rows.append(self._scored(RowId(folder.name), found))
         texts_ask = [f"r_precision_top{rank}" for rank in (1, 2, 3)]
         motions_ask = [f"{name}_motion_asks" for name in texts_ask]
@@ -283,11 +281,11 @@ class _Comparison:
         """A model's rows, as generated and planted."""
         config, lengths, wanted = self.config, kit_bone_lengths(self.real.samples), self.real.select(self.chosen)
         with task(config.on_progress, f"{self.evaluator.name}: {name}", note="motions generated") as work:
-            motions = ModelMotions(name, trained.loaded, trained.identity, config.seed, lengths, work.advance)
-            draws = [motions.draw(wanted, number, self.embedder) for number in range(config.draws)]
-            repeated = motions.repeated(wanted, self.protocol.multimodality, config.max_motions, self.embedder)
+            motions = ModelMotions(name, trained.loaded, self.evaluator, config.seed, lengths, work.advance)
+            draws = [motions.draw(wanted, self.own.texts, number) for number in range(config.draws)]
+            repeated = motions.repeated(wanted, self.protocol.multimodality, config.max_motions)
         rows = []
-        for row in motions.rows:
+        for row in draws[0]:
             made = (trained.note, "" if lengths is None else MADE_OF_22, VARIANT_NOTES.get(row.variant))
             note = "; ".join((f"run {trained.run.name!r}", *filter(None, made)))
             found = Embedded([draw[row] for draw in draws], self.chosen_rows, repeated.get(row), note)
@@ -303,7 +301,7 @@ class _Comparison:
             score_retrieval(reference, found.draws, rule, self.sentences[found.real_rows], config.seed)
             for rule in self.protocol.retrieval
         )
-        with task(config.on_progress, "scoring", self.protocol.replications) as work:
+        with task(config.on_progress, "scoring"):
             scores = score_text_motion(
                 reference,
                 found.draws,
@@ -311,7 +309,6 @@ class _Comparison:
                 config.seed,
                 repeated=found.repeated,
                 pair_score=self.evaluator.pair_score,
-                on_replication=work.advance,
             )
         return ScoredRow(row, "; ".join(filter(None, notes)), scores, ranked)
 
@@ -353,7 +350,7 @@ class _Comparison:
             return {title_of(name): Cell(values[name].value) for name in names}
 
         number, oracle = len(real.motions), TextMotionPairs(real.texts, real.texts)
-        chance = cells(score_retrieval(real, [real], rule, sentences, seed, no_distance))
+        chance = cells(score_retrieval(real, [real], rule, sentences, seed, lambda a, b: np.zeros((len(a), len(b)))))
         ceiling = cells(score_retrieval(oracle, [oracle], rule, sentences, seed))
         note = f"Shares, not per cent; sentences are compared by {SENTENCES}."
         if rule.same_above is not None:
@@ -412,7 +409,7 @@ def paper_block(fps: Fraction) -> Block:
 
 
 def sample_embeddings(
-    folder: SampleFolder, real: CaptionedMotions, protocol: TextMotionProtocol, embedder: Embedder
+    folder: SampleFolder, real: CaptionedMotions, protocol: TextMotionProtocol, evaluator: TextMotionEvaluator
 ) -> Embedded:
     """Embed a folder's motions and captions: draw k has the k-th motion of every prompt.
 
@@ -426,8 +423,8 @@ def sample_embeddings(
     samples = folder.at(fps)
     cropped = [middle(sequence, most_frames) for sequence in samples.sequences]
     samples = samples.with_positions(samples.name, samples.fps, cropped)
-    motions, remark = _embedded(folder, samples, real.samples, most_frames, embedder)
-    texts = embedder.texts([real.known_captions.get(text, Caption(text)) for text in samples.captions])
+    motions, remark = _embedded(folder, samples, real.samples, most_frames, evaluator)
+    texts = embed_captions(evaluator, [real.known_captions.get(text, Caption(text)) for text in samples.captions])
     groups = [np.array(rows) for rows in samples.rows_by_group().values()]
     most = max(map(len, groups))
     repeated = motions[np.stack([rows for rows in groups if len(rows) == most])] if most > 1 else None
@@ -451,29 +448,27 @@ def sample_embeddings(
 
 
 def _embedded(
-    folder: SampleFolder, samples: SampleSet, real: SampleSet, most_frames: int, embedder: Embedder
+    folder: SampleFolder, samples: SampleSet, real: SampleSet, most_frames: int, evaluator: TextMotionEvaluator
 ) -> tuple[Float64[np.ndarray, "motions features"], str]:
     """Embeddings of a folder's motions, from its pose vectors if the evaluator reads them, and a note on this."""
-    evaluator = embedder.evaluator
-    if not isinstance(evaluator, PoseVectorEvaluator):
-        return embedder.motions(samples), ""
+    if not isinstance(evaluator, GuoEvaluator):
+        return evaluator.embed_motions(samples), ""
     sizes = {motion.shape[1] for motion in folder.vectors}
-    if sizes == {evaluator.vector_size} and set(folder.fps) == {evaluator.fps}:
+    if sizes == {evaluator.kind.published.num_values} and set(folder.fps) == {evaluator.fps}:
         # T poses make T − 1 vectors, so the longest motion has one vector fewer than poses.
         lengths = folder.sequences.num_frames.tolist()
         vectors = [
             middle(motion[:frames], most_frames - 1) for motion, frames in zip(folder.vectors, lengths, strict=True)
         ]
-        key = {"vectors": fingerprint_of(vectors)}
-        return embedder.kept(key, len(vectors), lambda: evaluator.embed_vectors(vectors)), AS_VECTORS
+        return evaluator.embed_vectors(vectors), AS_VECTORS
     kit_lengths = kit_bone_lengths(real)
     if kit_lengths is None:
-        return embedder.motions(samples), BY_JOINTS
+        return evaluator.embed_motions(samples), BY_JOINTS
     if folder.kit_joints and set(folder.fps) == {samples.fps}:
         joints = [middle(motion, most_frames) for motion in folder.kit_joints]
         own = samples.with_positions(samples.name, samples.fps, joints)
-        return embedder.motions(own), f"{BY_JOINTS}; KIT-ML's joints as they came"
-    return embedder.motions(as_kit_joints(samples, kit_lengths)), f"{BY_JOINTS}; {MADE_OF_22}"
+        return evaluator.embed_motions(own), f"{BY_JOINTS}; KIT-ML's joints as they came"
+    return evaluator.embed_motions(as_kit_joints(samples, kit_lengths)), f"{BY_JOINTS}; {MADE_OF_22}"
 
 
 def _real_rows(samples: SampleSet, real: CaptionedMotions) -> list[int | None]:

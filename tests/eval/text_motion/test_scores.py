@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eval.metrics.number import Scores
 from eval.metrics.registry import find_metric
 from eval.text_motion.protocol import (
     TEXT_MOTION_PROTOCOLS,
@@ -16,7 +15,6 @@ from eval.text_motion.protocol import (
 )
 from eval.text_motion.scores import (
     TextMotionPairs,
-    no_distance,
     score_retrieval,
     score_text_motion,
     share_of_same_texts,
@@ -145,28 +143,27 @@ def test_multimodality_stops_after_its_own_replications() -> None:
     assert len(found.replications["fid"]) == 7
 
 
-def score(protocol: str = "native", number: int = 96, **options: object) -> Scores:
-    few = replace(find_text_motion_protocol(protocol), replications=2)
-    real = make_pairs(number, 0)
-    return score_text_motion(real, [make_pairs(number, 1)], few, 0, **options)  # type: ignore[arg-type]
-
-
 NATIVE = replace(find_text_motion_protocol("native"), replications=3)
 
 
-def test_what_the_data_cannot_give_is_reported() -> None:
-    few = score(repeated=np.zeros((3, 12, FEATURES)))
-    assert any("needs 20 motions of each text, there are 12" in remark for remark in few.remarks)
-    assert any("Diversity pairs 96 motions" in remark for remark in few.remarks)
-    assert any("there is one set of motions" in remark for remark in few.remarks)
-    some = score(repeated=np.random.default_rng(0).normal(size=(3, 20, FEATURES)))
-    assert any("30 motions of 100 texts" in remark for remark in some.remarks)
-    assert "multimodality" in some.values and "multimodality" not in score().values
-    fewer = score_text_motion(make_pairs(96, 0), [make_pairs(64, 1)], find_text_motion_protocol("mdm"), 0)
-    assert any("counts 1,024 generated motions, here are 64" in remark for remark in fewer.remarks)
-    assert fewer.sizes == {"real": 96, "generated": 64, "draws": 1}
-    wide = TextMotionPairs(*np.random.default_rng(0).normal(size=(2, 40, 64)))
-    assert any("N = 40 for 64 features" in remark for remark in score_text_motion(wide, [wide], NATIVE, 0).remarks)
+@pytest.mark.parametrize(
+    ("protocol", "generated", "generations", "remark"),
+    [
+        ("native", 96, 12, "needs 20 motions of each text, there are 12"),
+        ("native", 96, 20, "here are 20 motions of 3 texts"),
+        ("native", 96, 30, "Diversity pairs 96 motions"),
+        ("native", 96, 30, "there is one set of motions"),
+        ("native", 4, 30, "N = 4 for 5 features"),
+        ("mdm", 64, 30, "counts 1,024 generated motions, here are 64"),
+    ],
+)
+def test_what_the_data_cannot_give_is_reported(protocol: str, generated: int, generations: int, remark: str) -> None:
+    few = replace(find_text_motion_protocol(protocol), replications=2, pool=min(32, generated))
+    repeated = np.random.default_rng(0).normal(size=(3, generations, FEATURES))
+    found = score_text_motion(make_pairs(96, 0), [make_pairs(generated, 1)], few, 0, repeated=repeated)
+    assert any(remark in each for each in found.remarks)
+    assert (few.multimodality.metric in found.values) == (generations > 12)
+    assert (found.sizes["real"], found.sizes["generated"]) == (96, generated)
 
 
 def test_real_motion_against_itself_has_no_fid_but_of_dropped_remainders() -> None:
@@ -176,23 +173,17 @@ def test_real_motion_against_itself_has_no_fid_but_of_dropped_remainders() -> No
     assert score_text_motion(real, [real], redraw, 0).values["fid"].value > 1e-6
 
 
-BROKEN = TextMotionPairs(np.zeros((64, FEATURES)), np.full((64, FEATURES), np.nan))
-NARROW = TextMotionPairs(np.zeros((64, 3)), np.zeros((64, 3)))
-
-
 @pytest.mark.parametrize(
-    ("draws", "protocol", "message"),
+    ("generated", "protocol", "message"),
     [
-        ([], "native", "no set of motions"),
-        ([make_pairs(20, 1)], "native", "choose among 32"),
-        ([BROKEN], "native", "finite"),
-        ([NARROW], "native", "5 numbers, of others 3"),
-        ([make_pairs(96, 1)], "mld", "96 generated and 64 real"),
+        (make_pairs(20, 1), "native", "at least 32 pairs"),
+        (TextMotionPairs(np.zeros((64, FEATURES)), np.full((64, FEATURES), np.nan)), "native", "finite"),
+        (make_pairs(96, 1), "mld", "96 generated and 64 real"),
     ],
 )
-def test_pairs_that_do_not_fit_are_refused(draws: list[TextMotionPairs], protocol: str, message: str) -> None:
+def test_pairs_that_do_not_fit_are_refused(generated: TextMotionPairs, protocol: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        score_text_motion(make_pairs(64, 0), draws, find_text_motion_protocol(protocol), 0)
+        score_text_motion(make_pairs(64, 0), [generated], find_text_motion_protocol(protocol), 0)
 
 
 NUMBER = 128
@@ -251,6 +242,10 @@ def test_real_pairs_are_found_and_random_ones_are_not() -> None:
         assert value(ALL, random, f"median_rank{direction}") > 40
     assert value(POOLS, own, "recall_at_1") > value(ALL, own, "recall_at_1")  # fewer of the doubles meet
     assert value(FEW, own, "recall_at_3") == 1.0
+
+
+def no_distance(queries: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+    return np.zeros((len(queries), len(candidates)))
 
 
 def test_chance_is_what_the_rule_leaves_to_it() -> None:
