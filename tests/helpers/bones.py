@@ -1,19 +1,18 @@
-"""Lengths of bones, from joint positions, and those of people."""
+"""Lengths of bones, from joint positions, and those of people; and what Mixamo calls the joints of SMPL."""
 
 import numpy as np
 
-from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22, Skeleton
+import motionkit as mk
 from motionkit.core.skeletons.mapping import map_joints
 
 
-def bone_lengths(positions: np.ndarray, skeleton: Skeleton) -> np.ndarray:
+def bone_lengths(positions: np.ndarray, skeleton: mk.Skeleton) -> np.ndarray:
     """Distance of every joint but the root to its parent [..., joints - 1], in metres."""
     return np.asarray(np.linalg.norm(positions[..., 1:, :] - positions[..., skeleton.parents[1:], :], axis=-1))
 
 
 def bone(body: np.ndarray, one: str, other: str) -> float:
-    return float(np.linalg.norm(body[:, SMPL22.index(one)] - body[:, SMPL22.index(other)], axis=-1).mean())
+    return float(np.linalg.norm(body[:, mk.SMPL22.index(one)] - body[:, mk.SMPL22.index(other)], axis=-1).mean())
 
 
 # Lengths of bones of a person, metres.
@@ -27,7 +26,7 @@ BONES = {
 }  # fmt: skip
 
 
-def check_body(motion: Motion) -> None:
+def check_body(motion: mk.Motion) -> None:
     """A motion becomes a person's body whose toes point forwards."""
     body = map_joints(motion, "smpl22")
     for (one, other), (least, most) in BONES.items():
@@ -35,8 +34,19 @@ def check_body(motion: Motion) -> None:
     leg = bone(body, "left_hip", "left_knee") + bone(body, "left_knee", "left_ankle")
     assert 1.15 < leg + bone(body, "pelvis", "head") < 1.7, motion
     # Forward is where the toes point; seen from there, +x of the body is its left.
-    across = body[:, SMPL22.index("left_hip")] - body[:, SMPL22.index("right_hip")]
-    up = body[:, SMPL22.index("neck")] - body[:, SMPL22.index("pelvis")]
-    toes = body[:, SMPL22.index("left_foot")] - body[:, SMPL22.index("left_ankle")]
+    across = body[:, mk.SMPL22.index("left_hip")] - body[:, mk.SMPL22.index("right_hip")]
+    up = body[:, mk.SMPL22.index("neck")] - body[:, mk.SMPL22.index("pelvis")]
+    toes = body[:, mk.SMPL22.index("left_foot")] - body[:, mk.SMPL22.index("left_ankle")]
     assert np.median(np.sum(np.cross(across, up) * toes, axis=-1)) > 0, motion
     assert map_joints(motion, "kit21").shape[1] == 21
+
+
+SPINE = {"pelvis": "Hips", "spine1": "Spine", "spine2": "Spine1", "spine3": "Spine2", "neck": "Neck", "head": "Head"}
+LIMBS = {"hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "foot": "ToeBase", "collar": "Shoulder", "shoulder": "Arm"}
+LIMBS |= {"elbow": "ForeArm", "wrist": "Hand"}
+
+
+def mixamo_name(joint: str) -> str:
+    """Without the prefix that its files have."""
+    side, _, limb = joint.rpartition("_")
+    return SPINE[joint] if joint in SPINE else side.capitalize() + LIMBS[limb]

@@ -6,8 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from motionkit.core.errors import UsageError
-from motionkit.core.skeleton import SMPL22
+import motionkit as mk
 from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.fields.motion_field import Poses, check_times
 
@@ -18,25 +17,25 @@ class Drift:
 
     offset: float
     end_seconds: float
-    skeleton = SMPL22
+    skeleton = mk.SMPL22
     start_seconds = 0.0
 
     def query(self, times_seconds):
         check_times(self, times_seconds)
-        positions = np.repeat(rest_positions(SMPL22)[None], len(times_seconds), axis=0)
+        positions = np.repeat(rest_positions(mk.SMPL22)[None], len(times_seconds), axis=0)
         positions[..., 2] += (self.offset + times_seconds[:, None]).astype(np.float32)
         return Poses(positions)
 
 
 class DriftModel:
-    name, skeleton, max_training_fps, max_duration_seconds = "Drift", SMPL22, Fraction(120), 10.0
+    name, skeleton, max_training_fps, max_duration_seconds = "Drift", mk.SMPL22, Fraction(120), 10.0
 
     def __init__(self, fails_at=None):
         self.fails_at = fails_at
 
     def check(self, request, sampling=None):
         if request.action == "fly":
-            raise UsageError("the model knows no action 'fly'")
+            raise mk.UsageError("the model knows no action 'fly'")
 
     def generate(self, requests, *, seed, sampling=None, first=0):
         if self.fails_at is not None and first >= self.fails_at:

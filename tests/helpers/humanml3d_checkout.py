@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.core.skeleton import SMPL22
+import motionkit as mk
 from motionkit.core.skeletons.mapping import rest_positions
-from motionkit.store import Store
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 TEXT = "a person stands#a/DET person/NOUN stand/VERB#0.0#0.0\nthen rises#then/ADV rise/VERB#0.5#1.0\n"
@@ -48,7 +47,7 @@ FPS = {"000000": 100, "000001": 20, "000002": 120, "000003": 120, "000004": 150,
 
 def write_take(path: Path, num_frames: int, num_joints: int = 22) -> None:
     standing = np.zeros((num_frames, num_joints, 3), dtype=np.float32)
-    standing[:, :22] = rest_positions(SMPL22)
+    standing[:, :22] = rest_positions(mk.SMPL22)
     standing[:, :, 1] += 1.0 + 1e-3 * np.arange(num_frames, dtype=np.float32)[:, None]
     path.parent.mkdir(parents=True, exist_ok=True)
     np.save(path, standing)
@@ -77,6 +76,6 @@ def write_checkout(folder: Path) -> Path:
     return folder
 
 
-def frame_numbers(store: Store, sequence_id: str) -> list[int]:
+def frame_numbers(store: mk.Store, sequence_id: str) -> list[int]:
     height = store.read(sequence_id).joint_positions[:, 0, 1]
-    return np.rint((height - 1.0 - rest_positions(SMPL22)[0, 1]) * 1000).astype(int).tolist()
+    return np.rint((height - 1.0 - rest_positions(mk.SMPL22)[0, 1]) * 1000).astype(int).tolist()

@@ -1,10 +1,16 @@
-"""What a page packs of positions, unpacked as its script does."""
+"""What a page holds, unpacked as its script does."""
 
 import base64
+import json
+import re
+from typing import Any
 
 import numpy as np
 
 from motionkit.viz.player import Packed
+
+HALF_STEP = 5.1e-5
+"""Metres by which positions that come back may be off."""
 
 
 def unpack(packed: Packed) -> np.ndarray:
@@ -12,3 +18,10 @@ def unpack(packed: Packed) -> np.ndarray:
     root = np.frombuffer(base64.b64decode(packed["root"]), "<f4").reshape(-1, 1, 3)
     steps = np.frombuffer(base64.b64decode(packed["steps"]), "<i2").reshape(len(root), -1, 3)
     return (root + steps * packed["stepMetres"]).astype(np.float32)
+
+
+def page_data(page: str) -> dict[str, Any]:
+    """The title, the note and the takes of a page."""
+    (found,) = re.findall(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)
+    data: dict[str, Any] = json.loads(found)
+    return data

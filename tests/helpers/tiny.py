@@ -7,11 +7,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import motionkit as mk
 from benchmarks.trust import scenarios
-from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import TimeGrid
-from motionkit.store.writer import StoreWriter
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder, Stage, StageContext
 from nerm.recipes import (
@@ -32,60 +29,26 @@ STEPS = 8
 NERM = NermConfig(
     codebook=apply_overrides(
         CodebookConfig(window_frames=32),
-        [
-            "network.width=16",
-            "network.num_codes=16",
-            "schedule.batch_size=8",
-            f"schedule.steps={STEPS}",
-            "schedule.learning_rate=0.001",
-            "schedule.drop_every=0.75",
-        ],
+        f"schedule.steps={STEPS} schedule.batch_size=8 schedule.learning_rate=0.001 schedule.drop_every=0.75 "
+        "network.width=16 network.num_codes=16".split(),
     ),
     field=apply_overrides(
         FieldConfig(),
-        [
-            "windows.max_duration_seconds=3.0",
-            "windows.stride_seconds=1.0",
-            "latents.layout=local",
-            "latents.knots=8",
-            "latents.knot_numbers=8",
-            "latents.ridge=0.1",
-            "encoder.num_frequencies=8",
-            "encoder.num_queries=8",
-            "encoder.num_layers=1",
-            "decoder.width=32",
-            "decoder.num_layers=3",
-            "decoder.activation=silu",
-            "encoder.framerate_scale=0.05",
-            "loss.scaling=group",
-            "schedule.epochs=none",
-            f"schedule.steps={STEPS}",
-            "schedule.batch_size=8",
-            "clips.num_poses=8",
-            "clips.contiguous=false",
-            "clips.seconds_per_visit=2.5",
-            "clips.warmup_fraction=0.1",
-            "clips.lowest_fps=20.0",
-            "schedule.learning_rate=0.002",
-            "optimizer.attention_learning_rate=0.001",
-            "optimizer.latent_learning_rate=0.02",
-            "optimizer.weight_decay=0.0",
-            "schedule.kind=cosine",
-        ],
+        f"schedule.epochs=none schedule.steps={STEPS} schedule.batch_size=8 schedule.learning_rate=0.002 "
+        "schedule.kind=cosine optimizer.attention_learning_rate=0.001 optimizer.latent_learning_rate=0.02 "
+        "optimizer.weight_decay=0.0 windows.max_duration_seconds=3.0 windows.stride_seconds=1.0 "
+        "latents.layout=local latents.knots=8 latents.knot_numbers=8 latents.ridge=0.1 encoder.num_frequencies=8 "
+        "encoder.num_queries=8 encoder.num_layers=1 encoder.framerate_scale=0.05 decoder.width=32 "
+        "decoder.num_layers=3 decoder.activation=silu loss.scaling=group clips.num_poses=8 clips.contiguous=false "
+        "clips.seconds_per_visit=2.5 clips.warmup_fraction=0.1 clips.lowest_fps=20.0".split(),
     ),
     denoiser=apply_overrides(
         DenoiserConfig(
             network=TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0, latent_tokens=8),
             ema_decay=0.9,
         ),
-        [
-            "conditions.text_encoder=none",
-            "schedule.batch_size=16",
-            f"schedule.steps={STEPS}",
-            "schedule.epochs=none",
-            "schedule.learning_rate=0.002",
-            "schedule.kind=cosine",
-        ],
+        f"schedule.epochs=none schedule.steps={STEPS} schedule.batch_size=16 schedule.learning_rate=0.002 "
+        "schedule.kind=cosine conditions.text_encoder=none".split(),
     ),
 )
 STAGES: dict[str, tuple[Stage[Any], Any]] = {stage.name: (stage, NERM) for stage in (CODEBOOK, FIELD, DENOISER)}
@@ -93,13 +56,13 @@ STAGES: dict[str, tuple[Stage[Any], Any]] = {stage.name: (stage, NERM) for stage
 
 def write_store(path: Path) -> Path:
     """Six takes of four seconds at 30, 60 and 120 fps, four of them for training."""
-    with StoreWriter.create(path) as writer:
+    with mk.StoreWriter.create(path) as writer:
         for index, rate in enumerate((120, 30, 60, 120, 120, 30)):
-            grid = TimeGrid(Fraction(rate), 4 * rate + 1)
+            grid = mk.TimeGrid(Fraction(rate), 4 * rate + 1)
             positions = analytic_positions(grid.seconds(), index % 4)
             split = "test" if index >= 4 else "train"
             action = ("walk", "sway")[index % 2]
-            writer.add(Motion(positions, SMPL22, grid, split=split, sequence_id=f"take-{index}", action=action))
+            writer.add(mk.Motion(positions, mk.SMPL22, grid, split=split, sequence_id=f"take-{index}", action=action))
     return path
 
 

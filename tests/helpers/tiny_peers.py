@@ -5,10 +5,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from motionkit.core.motion import Caption, Motion
-from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import TimeGrid
-from motionkit.store.writer import StoreWriter
+import motionkit as mk
 from motionkit.training.config import Schedule
 from motionkit.training.run import RunFolder, StageContext
 from peers.actor import ACTOR
@@ -75,19 +72,19 @@ def write_captioned_store(
     path: Path, motions: int = 4, seconds: int = 4, *, captioned: bool = True, held_out: int = 1
 ) -> Path:
     """Takes at 60 fps of other kinds, each with a caption and an action; the last, `held_out` times, for testing."""
-    with StoreWriter.create(path) as writer:
+    with mk.StoreWriter.create(path) as writer:
         for index in range(motions + held_out):
             kind = min(index, motions - 1)
-            grid = TimeGrid(Fraction(60), 60 * seconds + 1)
+            grid = mk.TimeGrid(Fraction(60), 60 * seconds + 1)
             writer.add(
-                Motion(
+                mk.Motion(
                     analytic_positions(grid.seconds(), kind),
-                    SMPL22,
+                    mk.SMPL22,
                     grid,
                     split="test" if index >= motions else "train",
                     sequence_id=f"take-{index}",
                     action=f"kind-{kind}",
-                    captions=(Caption(f"motion of kind {kind}"),) if captioned else (),
+                    captions=(mk.Caption(f"motion of kind {kind}"),) if captioned else (),
                 )
             )
     return path

@@ -12,11 +12,7 @@ from motionkit.core.timegrid import TimeGrid
 
 
 def random_motion(
-    seed: int,
-    num_frames: int = 20,
-    fps: Fraction = Fraction(30),
-    rotations: bool = True,
-    skeleton: Skeleton = SMPL22,
+    seed: int, num_frames: int = 20, fps: Fraction = Fraction(30), rotations: bool = True, skeleton: Skeleton = SMPL22
 ) -> Motion:
     rng = np.random.default_rng(seed)
     joints = skeleton.num_joints

@@ -1,8 +1,8 @@
-"""Velocities of a motion field's joints by finite differences."""
+"""Velocities of a motion field's joints by finite differences, and how far they are from observed poses."""
 
 import numpy as np
 
-from motionkit.fields.motion_field import MotionField
+from motionkit.fields.motion_field import MotionField, Observation
 
 
 def joint_velocities(field: MotionField, times_seconds: np.ndarray, *, step_seconds: float = 1e-3) -> np.ndarray:
@@ -18,3 +18,9 @@ def joint_velocities(field: MotionField, times_seconds: np.ndarray, *, step_seco
     before, here, after = np.split(poses, 3)
     offset = (times_seconds - centre)[:, None, None]
     return (after - before) / (2 * step) + offset * (before - 2 * here + after) / step**2
+
+
+def observed_errors(field: MotionField, observation: Observation) -> np.ndarray:
+    """Distances of a field's joints from the observed ones at the observed times, metres [frames, joints]."""
+    positions = field.query(observation.times_seconds).joint_positions.astype(np.float64)
+    return np.linalg.norm(positions - observation.poses.joint_positions, axis=-1)

@@ -1,4 +1,4 @@
-"""`motionkit ablate` on a tiny store: a table's variants by one command, which goes on and tells what fails."""
+"""`motionkit ablate` and `train --for`: what a table needs is trained by one command, once, and the table shows it."""
 
 import json
 from fractions import Fraction
@@ -8,33 +8,35 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+import motionkit as mk
+from benchmarks.trust import scenarios
 from eval.clip_fid.score import Protocol
 from eval.commands.ablate import ablate
 from eval.report.results import Block, Result, Row, to_markdown
 from eval.tables.nerm import figures
 from eval.tables.nerm.reconstruction import ABLATIONS
 from eval.tables.table import EvalConfig
-from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import TimeGrid
-from motionkit.store.writer import StoreWriter
+from motionkit.demo_corpus import write_demo_corpus
+from motionkit.generate.models import installed_models
+from motionkit.store.ingest import ingest
+from motionkit.training.run import RunFolder
 from nerm.recipes import OTHERWISE
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.table_request import table_request
 from tests.helpers.tiny import SETTINGS
+from tests.helpers.tiny_peers import write_captioned_store
 
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a store of six short motions."""
     folder = tmp_path_factory.mktemp("ablate")
-    with StoreWriter.create(folder / "store") as writer:
+    with mk.StoreWriter.create(folder / "store") as writer:
         for index, rate in enumerate((120, 30, 60, 120, 120, 60)):
-            grid = TimeGrid(Fraction(rate), 3 * rate + 1)
+            grid = mk.TimeGrid(Fraction(rate), 3 * rate + 1)
             positions = analytic_positions(grid.seconds(), index % 4)
             split = "test" if index >= 4 else "train"
-            writer.add(Motion(positions, SMPL22, grid, split=split, sequence_id=f"walk-{index}"))
+            writer.add(mk.Motion(positions, mk.SMPL22, grid, split=split, sequence_id=f"walk-{index}"))
     return folder
 
 
@@ -107,12 +109,10 @@ def test_a_list_trains_nothing(tmp_path: Path) -> None:
         (("5", "--set", "field.encoder.kind=none"), "varies"),
     ],
 )
-def test_faults_are_reported_before_anything_is_trained(
-    arguments: tuple[str, ...], message: str, tmp_path: Path
-) -> None:
+def test_faults_are_reported_before_anything_is_trained(arguments, message, tmp_path):
     app = typer.Typer()
     app.command()(ablate)
-    with pytest.raises((UsageError, MotionkitError), match=message):
+    with pytest.raises((mk.UsageError, mk.MotionkitError), match=message):
         CliRunner().invoke(app, [*arguments, "--runs", str(tmp_path)], catch_exceptions=False)
     assert not list(tmp_path.iterdir())
 
@@ -170,7 +170,7 @@ def test_a_table_shows_what_is_trained_and_says_how_to_train_the_rest(project: P
     assert all(set(row.cells) == set(cost.columns) for row in cost.rows if row.origin == "ours")
     assert detail.title == "Detail profile, 60 fps"
     assert all(set(row.cells[figures.CPU].details) == {"at 20 fps", "at 120 fps"} for row in cost.rows[2:])
-    with pytest.raises(UsageError, match="one framerate"):
+    with pytest.raises(mk.UsageError, match="one framerate"):
         figures.FIGURE_8.build(request(project, "table-global", "results-7", 20, 60))
 
 
@@ -182,3 +182,95 @@ def test_tables_share_runs(project: Path) -> None:
     assert rows(first.blocks[0])["global: d = 256"].cells == rows(first.blocks[0])["global: λ_KL = 1e-4"].cells
     assert any(line.startswith("clip-FID: no denoiser is trained") for line in other.missing)
     assert rows(first.blocks[-1])["latent_dim = 512 (paper)"].cells["20 fps"].value == 0.0407
+
+
+# Of every system's settings those that it has.
+EVERY_SYSTEM = (
+    *("conditions.kind=action", "network.transformer.width=32", "network.transformer.inner=32"),
+    *("motions.max_frames=130", "motions.min_seconds=1", "motions.mirrored=false"),
+    *("network.diffusion.num_steps=4", "network.diffusion.sampling_steps=4"),
+    *("schedule.steps=3", "schedule.batch_size=4", *scenarios.SETTINGS["codebook"].split()),
+    "field.windows.max_duration_seconds=10",
+)
+
+
+@pytest.fixture(scope="module")
+def captioned_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_captioned_store(tmp_path_factory.mktemp("systems") / "store", held_out=4)
+
+
+def test_a_table_has_a_row_for_every_installed_system(motionkit, captioned_store, tmp_path):
+    places = ("--store", captioned_store, "--runs", tmp_path / "runs", "--run", "all")
+    options = ("--fps", "20", "--clips", "64", "--replications", "1", "--evaluator", "kinematic")
+    table = ("eval", "--table", "2", *places, *options, "--results", tmp_path / "results")
+    settings = [word for setting in EVERY_SYSTEM for word in ("--set", setting)]
+    command = ("train", "--for", "table:2", *places, "--device", "cpu", *settings)
+
+    before = motionkit(*table)
+    assert before.code == 0
+    assert "motionkit train --for table:2 --run all trains the missing ones" in before.stderr
+
+    done = motionkit(*command)
+    assert done.code == 0, done.stderr
+    assert "next: motionkit eval --table 2" in done.stdout
+    models = installed_models().values()
+    stages = [name for model in models for name in model.stages]
+    run = RunFolder(tmp_path / "runs" / "all")
+    assert all(run.stage(name).is_complete for name in stages)
+    again = motionkit(*command)
+    assert again.code == 0 and again.stderr.count("complete already, kept") >= len(stages)
+
+    after = motionkit(*table)
+    assert after.code == 0 and "trains the missing ones" not in after.stderr
+    result = json.loads((tmp_path / "results" / "nerm-table2.json").read_text())
+    rows = {row["name"] for row in result["blocks"][0]["rows"]}
+    for model in models:
+        title = model.load(run.path).name
+        assert {title, f"{title}, planted"} <= rows, result["missing"]
+
+
+# Smaller still; the number of sines is what the table varies.
+TINY = [each for each in scenarios.SETTINGS["pahires"].split() if "sines" not in each and "tasks.l" not in each]
+# All tests choose the same takes, so that the demo_store's caches are written once.
+TAKES = "fps = 30 OR fps = 60"
+COMMON = ("--split", "all", "--where", TAKES)
+
+
+@pytest.fixture(scope="module")
+def demo_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pahires-tables")
+    write_demo_corpus(folder / "corpus", every=8)
+    ingest([folder / "corpus"], folder / "store", num_workers=1)
+    return folder / "store"
+
+
+def test_variants_are_trained_and_shown_by_two_commands(motionkit, demo_store, tmp_path):
+    sets = [part for setting in TINY for part in ("--set", setting)]
+    places = ("--paper", "pahires", "--store", demo_store, "--runs", tmp_path / "runs", "--run", "tiny")
+    trained = motionkit("ablate", "4", *places, "--only", "full,sines-4-shared", "--where", TAKES, *sets)
+    assert trained.code == 0, trained.stderr
+    assert [line.partition(":")[0] for line in trained.stdout.splitlines()] == ["tiny-full", "tiny-sines-4-shared"]
+    again = motionkit("ablate", "4", *places, "--only", "full", "--seed", "1", "--where", TAKES, *sets)
+    assert again.stdout.startswith("tiny-full-seed1: "), again.stderr
+    eval_places = (*places, *COMMON, "--json", "--results")
+    result = json.loads(motionkit("eval", "--table", "4", *eval_places, tmp_path / "table").stdout)
+    psnr = {row["name"]: row["cells"] for row in result["blocks"][0]["rows"]}
+    assert set(psnr["own parameters in every layer"]) == {"ζ = 16"}
+    assert set(psnr["one activation shared by all layers"]) == {"ζ = 4"}
+    starts = next(block for block in result["blocks"] if block["title"] == "From other starts: PSNR (dB)")
+    (of_full,) = starts["rows"]
+    assert of_full["name"].endswith("own parameters in every layer; ζ = 16")
+    both = [of_full["cells"][f"seed {seed}"]["value"] for seed in (0, 1)]
+    assert both[0] != both[1]
+    assert psnr["own parameters in every layer"]["ζ = 16"]["value"] == pytest.approx(sum(both) / 2)
+    assert set(psnr["SLERP, not trained"]) == {f"ζ = {count}" for count in (1, 2, 4, 8, 16, 32)}
+    assert "after 8 steps, form exact" in result["caption"]
+    assert any("motionkit ablate 4 --paper pahires --run tiny --only sines-1)" in line for line in result["missing"])
+    printed = {row["name"]: row["cells"] for row in result["blocks"][-2]["rows"]}
+    assert printed["own parameters (paper)"]["ζ = 16"]["value"] == 30.53
+    figure = json.loads(motionkit("eval", "--figure", "6", *eval_places, tmp_path / "figure").stdout)
+    ours = next(row for row in figure["blocks"][0]["rows"] if row["name"] == "PA-HiRes")
+    assert set(ours["cells"]) == {"S = 3"}
+    assert ours["cells"]["S = 3"] == psnr["own parameters in every layer"]["ζ = 16"]
+    assert motionkit("report", "--results", tmp_path / "figure", "--format", "png").code == 0
+    assert (tmp_path / "figure" / "pahires-figure6.png").stat().st_size > 10_000

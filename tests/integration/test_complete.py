@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import motionkit as mk
 from motionkit.core.motion import Caption, Motion
 from motionkit.fields.motion_field import to_motion
 from motionkit.io.bvh import read_bvh, read_document, write_bvh
@@ -123,9 +122,7 @@ ENCODERS = {"learnt": load}
 """
 
 
-def test_trained_encoders_complete_own_skeletons(
-    motionkit: Run, tmp_path: Path, install: Callable[[str, str], None]
-) -> None:
+def test_trained_encoders_complete_own_skeletons(motionkit, tmp_path, install):
     """By the encoder of an installed package, which is for 22 joints and holds poses."""
     install("learnt", LEARNT)
     (tmp_path / "runs" / "nano" / "learnt").mkdir(parents=True)
@@ -148,21 +145,6 @@ def test_trained_encoders_complete_own_skeletons(
     assert clip["encoder"] == "rotation-cubic" and "learnt does not support its skeleton" in clip["warnings"][0]
     outcome = motionkit("complete", walk, "--fps", "60", "--model", "learnt", "--runs", tmp_path)
     assert outcome.code == 2 and "train --stage learnt" in outcome.stderr
-
-
-@pytest.mark.parametrize("command", [("complete", "--fps", "60", "--model", "slerp"), ("plant",)])
-@pytest.mark.parametrize("suffix", [".bvh", ".npz", ".csv", ".glb", ".npy"])
-def test_the_suffix_of_out_decides_the_format(
-    motionkit: Run, walk: Path, command: tuple[str, ...], suffix: str
-) -> None:
-    name, *options = command
-    out = walk.parent / f"other{suffix}"
-    outcome = motionkit(name, walk, *options, "--out", out)
-    assert outcome.code == 0 and outcome.stdout.split() == [str(out)]
-    if suffix == ".glb":  # the rest can be read again
-        assert out.read_bytes()[:4] == b"glTF"
-    else:
-        assert mk.read(out).fps == (60 if name == "complete" else 30)
 
 
 def test_what_was_completed_is_no_capture(motionkit: Run, takes: Path, tmp_path: Path) -> None:

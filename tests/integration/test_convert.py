@@ -13,7 +13,6 @@ import motionkit as mk
 from motionkit.core import kinematics
 from motionkit.io.amass import write_amass
 from motionkit.io.smpl_body import mean_shape_skeleton
-from motionkit.store import StoreWriter
 from tests.helpers.analytic import capture
 from tests.helpers.outcome import Outcome
 
@@ -51,9 +50,7 @@ def heights(motion: mk.Motion) -> np.ndarray:
 @pytest.mark.parametrize("source", ["walk.bvh", "walk.csv", "amass.npz"])
 @pytest.mark.parametrize("out", ["out.npz", "out.bvh", "out.csv", "out.npy"])
 @pytest.mark.parametrize("fps", [None, "30000/1001"])
-def test_any_format_to_any_other_at_any_framerate(
-    motionkit: Run, walk: mk.Motion, source: str, out: str, fps: str | None
-) -> None:
+def test_any_format_to_any_other_at_any_framerate(motionkit, walk, source, out, fps):
     outcome = motionkit("convert", source, out, *(["--fps", fps] if fps else []))
     assert (outcome.code, outcome.stdout.strip()) == (0, out), outcome.stderr
     made, before = mk.read(out), mk.read(source)
@@ -98,7 +95,7 @@ def test_a_folder_and_a_stored_sequence(motionkit: Run, walk: mk.Motion) -> None
     outcome = motionkit("convert", "takes", "made", "--format", "npz")
     assert outcome.code == 1 and "c.bvh" in outcome.stderr
     assert outcome.stdout.split() == ["made/a.npz", "made/deep/b.npz"]
-    with StoreWriter.create(Path("store")) as writer:
+    with mk.StoreWriter.create(Path("store")) as writer:
         writer.add(walk)
     assert motionkit("convert", "walk", "stored.bvh").code == 0
     assert mk.read("stored.bvh").num_frames == walk.num_frames
@@ -118,9 +115,7 @@ def test_a_folder_and_a_stored_sequence(motionkit: Run, walk: mk.Motion) -> None
         (("uneven.npz", "out.bvh"), 1, "uneven in time"),
     ],
 )
-def test_what_cannot_be_converted_is_explained(
-    motionkit: Run, walk: mk.Motion, arguments: tuple[str, ...], code: int, message: str
-) -> None:
+def test_what_cannot_be_converted_is_explained(motionkit, walk, arguments, code, message):
     lost = walk.joint_positions.copy()
     lost[3:5] = np.nan
     np.savez("lost.npz", joint_positions=lost, fps=30)

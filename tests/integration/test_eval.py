@@ -1,53 +1,37 @@
-"""`motionkit eval` and `motionkit report`, driven by the command line on a small store."""
+"""`motionkit eval` and `motionkit report` on a small store, and with the samples of published layouts."""
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import motionkit as mk
 from eval.report.results import Cell, format_cell
-from motionkit.core.motion import Caption, Motion
-from motionkit.core.skeleton import SMPL22
-from motionkit.core.skeletons.mapping import rest_positions
-from motionkit.core.timegrid import TimeGrid
-from motionkit.store.writer import StoreWriter
+from tests.helpers import published_layouts as published
+from tests.helpers.analytic import ACTIONS, capture
 from tests.helpers.outcome import Outcome
 
 Command = Callable[..., Outcome]
 
 
-def walk(seed: int, fps: int, seconds: float) -> np.ndarray:
-    """A body that walks with swinging joints and some noise; not a person, but everything moves."""
-    rng = np.random.default_rng(seed)
-    num_frames = int(seconds * fps)
-    time = np.arange(num_frames)[:, None, None] / fps
-    swing = 0.03 * np.sin(2 * np.pi * rng.uniform(0.5, 2, (22, 3)) * time + rng.uniform(0, 6, (22, 3)))
-    path = np.concatenate((rng.normal(size=1), [0.0], rng.normal(size=1)))
-    noise = 0.001 * rng.normal(size=(num_frames, 22, 3))
-    return (rest_positions(SMPL22) + [0, 0.95, 0] + swing + path * time + noise).astype(np.float32)
-
-
-def motion(index: int, fps: int, split: str) -> Motion:
-    positions = walk(index, fps, 5.0)
-    return Motion(
-        joint_positions=positions,
-        skeleton=SMPL22,
-        timegrid=TimeGrid(Fraction(fps), len(positions)),
-        captions=(Caption(f"walk {index}"),),
-        split=split,
-        sequence_id=f"walk-{index}",
-    )
+def take(index: int) -> mk.Motion:
+    """Five seconds of an action at 30, 60 or 120 fps, with some noise."""
+    fps = (30, 60, 120)[index % 3]
+    motion = capture(Fraction(fps), list(ACTIONS)[index % len(ACTIONS)], 5.0, 0.001, index).frames(0, 5 * fps)
+    split = "test" if index % 2 else "train"
+    return replace(motion, captions=(mk.Caption("a person moves"),), split=split, sequence_id=f"take-{index}")
 
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("eval") / "store"
-    with StoreWriter.create(path) as writer:
+    with mk.StoreWriter.create(path) as writer:
         for index in range(12):
-            writer.add(motion(index, (30, 60, 120)[index % 3], "test" if index % 2 else "train"))
+            writer.add(take(index))
     return path
 
 
@@ -91,22 +75,11 @@ def test_table_2(motionkit: Command, store: Path, tmp_path: Path) -> None:
 
 
 def test_calibration(motionkit: Command, store: Path, tmp_path: Path) -> None:
-    arguments = ("--store", store, "--results", tmp_path, "--fps", "60", "--json", *SMALL)
-    done = motionkit("eval", "--calibrate", *arguments)
+    done = motionkit("eval", "--calibrate", "--store", store, "--results", tmp_path, "--fps", "60", "--json", *SMALL)
     assert done.code == 0, done.stderr
-    result = json.loads(done.stdout)
-    ratios, spearman, games = result["blocks"]
+    ratios, _, games = json.loads(done.stdout)["blocks"]
     values = {row["name"]: row["cells"]["60 fps"]["value"] for row in ratios["rows"]}
-    assert values["jitter 0.01 m"] > values["jitter 0.005 m"] > 1.0
-    assert values["flat: yaw"] == pytest.approx(1.0, abs=0.05)
-    correlations = {row["name"]: row["cells"]["60 fps"]["value"] for row in spearman["rows"]}
-    assert correlations["jitter"] == pytest.approx(1.0)
-    assert values["disjoint halves of the takes (P2)"] > 1.0
-    jitter = next(row for row in spearman["rows"] if row["name"] == "jitter")
-    assert "0.0005 m (60 fps)" in jitter["note"]
-    timing = {row["name"]: row["cells"]["T"]["value"] for row in games["rows"]}
-    assert abs(timing["low-passed at 8 Hz"]) < 0.2
-    assert len(timing) == 68
+    assert values["jitter 0.01 m"] > values["jitter 0.005 m"] > 1.0 and len(games["rows"]) == 68
 
 
 def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: Path, tmp_path: Path) -> None:
@@ -114,7 +87,7 @@ def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: 
     (tmp_path / "copy").mkdir()
     (tmp_path / "copy" / "motions.json").write_text('{"fps": 120}')
     for index in (5, 11):
-        np.save(tmp_path / "copy" / f"walk-{index}.npy", walk(index, 120, 5.0))
+        np.save(tmp_path / "copy" / f"take-{index}.npy", take(index).joint_positions)
     samples = ("--samples", f"copy={tmp_path / 'copy'}")
     arguments = ("--clips", "64", "--replications", "2", "--evaluator", "kinematic", "--sizes", "16:32", "--json")
     done = motionkit(
@@ -150,3 +123,73 @@ def test_faults_are_one_line(motionkit: Command, arguments: tuple[str, ...], cod
     assert (done.code, done.stdout) == (code, "")
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+AT_20_FPS = ("--fps", "20", "--clips", "96", "--replications", "2", "--evaluator", "kinematic", "--sizes", "16:24")
+
+
+def frozen(folder: Path) -> Path:
+    """Two motions that do not move at all: every feature of theirs is constant."""
+    folder.mkdir()
+    for name in ("a", "b"):
+        np.save(folder / f"{name}.npy", np.repeat(published.motions()[0][:1], 60, axis=0))
+    return folder
+
+
+def test_every_published_layout_gets_its_row(motionkit, store, tmp_path):
+    found = np.concatenate(published.vectors())
+    mean, std = found.mean(axis=0), np.maximum(found.std(axis=0), 0.01)
+    folders = {
+        "MDM": published.write_mdm(tmp_path / "mdm"),
+        "MDM, exported": published.write_mdm(tmp_path / "mdm-npz", export=True) / "results.npz",
+        "MLD": published.write_mld_demo(tmp_path / "mld"),
+        "T2M-GPT": published.write_t2m_gpt(tmp_path / "gpt"),
+        "T2M-GPT, vectors": published.write_t2m_gpt_vectors(tmp_path / "gpt-vectors", mean, std),
+        "MoMask": published.write_momask(tmp_path / "momask"),
+        "BVH": tmp_path / "momask" / "animations",
+        "KIT": published.write_kit_joints(tmp_path / "kit", 0.0017),
+        "frozen": frozen(tmp_path / "frozen"),
+    }
+    samples = [part for name, path in folders.items() for part in ("--samples", f"{name}={path}")]
+    np.save(tmp_path / "gpt" / "000009_pred.npy", np.full((1, 50, 22, 3), np.nan, np.float32))
+    arguments = ("--store", store, "--results", tmp_path / "results", "--samples-fps", 20, "--json", *AT_20_FPS)
+    done = motionkit("eval", "--table", 2, *samples, *arguments, "--allow-broken")
+    assert (done.code, done.stderr.count("left out")) == (0, 1), done.stderr
+    result = json.loads(done.stdout)
+    rows = {row["name"]: row for row in result["blocks"][0]["rows"]}
+    values = {name: rows[name]["cells"]["20 fps"]["value"] for name in folders}
+    # The same motions give the same row, however they are written.
+    for name in ("MDM, exported", "MLD", "T2M-GPT"):
+        assert values[name] == pytest.approx(values["MDM"], rel=1e-9)
+    assert values["T2M-GPT, vectors"] == pytest.approx(values["MDM"], rel=0.2)
+    assert np.isfinite(list(values.values())).all()
+    assert values["frozen"] > values["MDM"]
+    assert "6 motions at 20 fps" in rows["MoMask"]["note"]
+    assert "1 of 7 motions left out (1 nan)" in rows["T2M-GPT"]["note"]
+    assert "6 motions at 12.5 fps" in rows["KIT"]["note"]
+    note = result["blocks"][0]["note"]
+    assert "At 20 fps these have no more motions than there are features (" in note
+    assert "MDM (6)" in note
+    assert {"kid", "precision"} <= {key.lower() for key in rows["MDM"]["cells"]["20 fps"]["details"]}
+    assert len(result["provenance"]["samples"]) == len(folders)
+
+
+def test_broken_samples_are_left_out_and_cost_the_exit_code(motionkit, store, tmp_path):
+    folder = published.write_t2m_gpt(tmp_path / "gpt")
+    np.save(folder / "000009_pred.npy", np.full((1, 50, 22, 3), np.nan, np.float32))
+    (folder / "000010_pred.npy").write_bytes(b"half a file")
+    np.save(folder / "000011_pred.npy", 1000 * published.motions()[0])
+    arguments = ("--store", store, "--results", tmp_path / "results", "--samples-fps", 20, *AT_20_FPS)
+    done = motionkit("eval", "--table", 2, "--samples", f"mine={folder}", *arguments)
+    assert done.code == 1
+    assert "| mine" in done.stdout
+    assert "3 of 9 motions left out (1 nan, 1 not-what-it-says, 1 body-size)" in done.stdout
+    # They are named before anything is computed.
+    first = done.stderr.splitlines()[:3]
+    assert all(line.startswith("left out of 'mine': ") for line in first)
+    names = ("000009_pred.npy, frame 0: nan", "000010_pred.npy", "000011_pred.npy")
+    assert all(name in line for name, line in zip(names, first, strict=True))
+    assert "built without broken samples (3 of 'mine'); --allow-broken accepts that" in done.stderr
+    # Without a run, what trains models is none of the user's business.
+    assert done.stderr.count("there is no run 'runs/nano': only --samples have rows") == 1
+    assert "motionkit train" not in done.stdout + done.stderr

@@ -1,4 +1,4 @@
-"""What people import from motionkit and eval: the example of each docstring, and the page, run as they are printed."""
+"""What people import from motionkit and eval, the pages' examples, and the demo, run as they are printed."""
 
 import doctest
 import json
@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 
 import eval
 import motionkit as mk
+import motionkit.demo_corpus
 from benchmarks.trust.scenarios import SETTINGS
 from eval.commands import demo as demo_command
 from motionkit.cli.app import build_app
@@ -176,3 +177,32 @@ def test_the_page_names_all_that_there_is() -> None:
     text = PAGE.read_text(encoding="utf-8")
     missing = [name for name in mk.__all__ if name != "__version__" and f"mk.{name}" not in text]
     assert missing == ["MotionModel", "notebook_view"]  # what load_model gives, and what notebooks call
+
+
+def test_another_demo_takes_the_place_of_the_first_and_nothing_else(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("mine")
+    with pytest.raises(mk.UsageError, match="has other content than an earlier demo"):
+        demo_command.demo(tmp_path, smallest=True)
+    assert (tmp_path / "thesis.tex").read_text() == "mine"
+
+
+def test_a_demo_that_was_stopped_at_its_beginning_begins_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*arguments: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(motionkit.demo_corpus, "write_demo_corpus", stopped)
+    for _ in range(2):  # there is a marker, and nothing else
+        with pytest.raises(KeyboardInterrupt):
+            demo_command.demo(tmp_path / "demo", smallest=True)
+    assert [path.name for path in (tmp_path / "demo").iterdir()] == [demo_command.MARKER]
+
+
+def test_a_part_of_a_demo_that_is_a_link_is_not_deleted_through(tmp_path: Path) -> None:
+    (tmp_path / "demo").mkdir()
+    (tmp_path / "demo" / demo_command.MARKER).touch()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").touch()
+    (tmp_path / "demo" / "store").symlink_to(tmp_path / "mine")
+    with pytest.raises(OSError, match="symbolic link"):
+        demo_command.demo(tmp_path / "demo", smallest=True)
+    assert (tmp_path / "mine" / "thesis.tex").exists()

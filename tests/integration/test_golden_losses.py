@@ -95,9 +95,7 @@ def test_every_stage_has_its_losses() -> None:
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_losses_are_those_that_were_recorded(
-    name: str, run: RunFolder, monkeypatch: pytest.MonkeyPatch, pytestconfig: pytest.Config
-) -> None:
+def test_losses_are_those_that_were_recorded(name, run, monkeypatch, pytestconfig):
     monkeypatch.setattr("motionkit.training.text.load_minilm", lambda name: HashEncoder())
     with float64_on_one_thread():
         found = train(name, run)

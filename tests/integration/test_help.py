@@ -1,5 +1,6 @@
-"""What the command line says of itself: help, versions, completion; and the example of every command, run."""
+"""What the command line says of itself: help, versions, completion, bars; and the example of every command, run."""
 
+import json
 import os
 import re
 import shlex
@@ -17,6 +18,7 @@ from rich.text import Text
 
 import motionkit as mk
 from motionkit.cli.app import build_app
+from motionkit.cli.console import stderr
 from tests.helpers.analytic import capture
 from tests.helpers.outcome import Outcome
 
@@ -25,7 +27,7 @@ RUN = (
     *("ingest", "info", "split", "validate", "query", "view", "complete", "plant", "merge", "export", "samples"),
     *("study", "ablate", "push", "remove", "compact"),
 )
-# These train first: test_from_takes_to_a_table runs such commands out of README, test_front_door the demo. What is
+# These train first: test_howtos runs such commands out of README, test_front_door the demo. What is
 # pulled has to be pushed: test_hub. test_convert converts.
 ELSEWHERE = ("train", "generate", "eval", "report", "demo", "pull", "convert")
 COMMANDS = typer.main.get_command(build_app()).commands  # type: ignore[attr-defined]
@@ -78,3 +80,37 @@ def test_bash_completes_commands_and_options(typed: str, completed: set[str]) ->
         [sys.executable, "-c", script], env=os.environ | environment, capture_output=True, text=True, check=True
     )
     assert set(done.stdout.split()) == completed
+
+
+Draw = Callable[..., str]
+BAR, ERASED = "━", "\x1b[2K"
+
+
+@pytest.fixture
+def drawn(motionkit, monkeypatch: pytest.MonkeyPatch) -> Draw:
+    """`drawn("ingest", folder, …)`: what the command draws where stderr is a terminal."""
+    for name, value in {"FORCE_COLOR": "1", "TERM": "xterm", "COLUMNS": "200"}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(stderr, "is_interactive", True)
+
+    def run(*arguments: object) -> str:
+        outcome = motionkit(*arguments, "--json")
+        assert outcome.code == 0, outcome.stderr
+        json.loads(outcome.stdout)
+        assert ERASED in outcome.stderr and BAR not in outcome.stderr.rpartition(ERASED)[2], "a bar is left behind"
+        return str(outcome.stderr)
+
+    return run
+
+
+def test_commands_on_stores(drawn: Draw, takes: Path, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    for take in sorted(takes.iterdir()):
+        assert "scanning" in drawn("ingest", take, "--store", store, "--workers", 1)
+    assert "validate" in drawn("validate", "--store", store)
+    assert "merge" in drawn("merge", tmp_path / "merged", store)
+    assert "compact" in drawn("compact", "--store", store)
+    assert "export" in drawn("export", tmp_path / "out", "--format", "npz", "--store", store)
+    assert "read" in drawn("view", takes / "alpha.bvh", "--out", tmp_path / "page.html")
+    text = drawn("complete", takes / "alpha.bvh", "--fps", 240, "--out", tmp_path / "completed")
+    assert "complete" in text

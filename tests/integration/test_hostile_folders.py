@@ -140,6 +140,12 @@ def generated(**cells: str) -> Spoil:
     return spoil
 
 
+def names(inside: Path) -> None:
+    """A good take and a broken one whose names a terminal would obey, one of them no UTF-8."""
+    for name, text in ((f"{EVIL}\udcff", (inside / "takes/take-0.bvh").read_text()), (f"bad{EVIL}", "HIERARCHY\n")):
+        (inside / "takes" / f"{name}.bvh").write_text(text)
+
+
 def _part_above(content: dict[str, Any]) -> None:
     content["files"]["../../mine.txt"] = content["files"].pop("motions/part-00000.parquet")
 
@@ -193,6 +199,9 @@ SCENES: dict[str, tuple[Spoil, tuple[str, ...]]] = {
         text("takes/clips.csv", "file,caption,split\n../../mine.txt,x,train\ntake-0.bvh,x,train\n"),
         ("ingest", "takes", "--store", "new", "--workers", "1"),
     ),
+    "captures: names of escape sequences": (names, ("ingest", "takes", "--store", "new", "--workers", "1")),
+    "captures: names of escape sequences, completed": (names, ("complete", "takes", "--fps", "90", "--out", "new")),
+    "captures: names of escape sequences, shown": (names, ("view", "takes", "--out", "new.html", "--json")),
     "captures: captions of escape sequences": (
         text("takes/clips.csv", f'file,caption,split\ntake-0.bvh,"{EVIL}","{EVIL}"\n'),
         ("ingest", "takes", "--store", "new", "--workers", "1"),
@@ -201,9 +210,7 @@ SCENES: dict[str, tuple[Spoil, tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_hostile_folder_is_refused_or_harmless(
-    name: str, motionkit: Run, good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_hostile_folder_is_refused_or_harmless(name, motionkit, good, tmp_path, monkeypatch):
     spoil, arguments = SCENES[name]
     folder = tmp_path / "place"
     shutil.copytree(good, folder)

@@ -1,5 +1,6 @@
 """The how-tos of the documentation, run from an empty folder with small files of the kinds that they are about."""
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
@@ -9,13 +10,14 @@ import numpy as np
 import pytest
 
 import motionkit as mk
+from benchmarks.trust.scenarios import SETTINGS
 from motionkit.demo_corpus import read_demo_corpus
 from motionkit.fields.motion_field import to_motion
 from tests.helpers import published_layouts
 from tests.helpers.analytic import ACTIONS, analytic_motion
 from tests.helpers.humanml3d_checkout import write_amass_tree, write_checkout
 from tests.helpers.outcome import Outcome
-from tests.helpers.pages import COMMAND, blocks, run_page, unmarked
+from tests.helpers.pages import COMMAND, blocks, run_blocks, run_page, unmarked
 from tests.helpers.repository import REPOSITORY
 
 DOCS = REPOSITORY / "docs"
@@ -118,3 +120,58 @@ def test_a_block_that_is_not_run_is_noticed(tmp_path: Path) -> None:
     page.write_text("text\n\n```\nmotionkit info\n```\n\n<!-- not run: hours -->\n\n```\nmotionkit train\n```\n")
     assert [block.text for block in unmarked(page)] == ["motionkit info\n"]
     assert [block.why for block in blocks(page)] == ["", "hours"] and COMMAND.search(blocks(page)[1].text)
+
+
+PAGE = REPOSITORY / "docs" / "howto" / "captures.md"
+TAKES = {"walk": "walk", "jump": "run", "wave": "wave", "squat": "squat", "bow": "bow"}
+CAPTURES_SMALL = {"eval": "--fps 20,60 --clips 64 --replications 2 --motions 4", "generate": "-n 1 --seconds 1"}
+
+
+@pytest.fixture
+def takes(tmp_path: Path) -> Path:
+    """Five takes as BVH, named as files and nothing else."""
+    for seed, (name, action) in enumerate(TAKES.items()):
+        motion = to_motion(analytic_motion(action, 3.0, seed), Fraction(60))
+        mk.write(replace(motion, captions=()), tmp_path / "takes" / f"{name}.bvh")
+    return tmp_path / "takes"
+
+
+def at_tiny_sizes(words: list[str]) -> list[str]:
+    tiny = f"{SETTINGS['codebook']} {SETTINGS['evaluator']}".split() if words[0] == "train" else ()
+    return [*words, *(part for each in tiny for part in ("--set", each)), *CAPTURES_SMALL.get(words[0], "").split()]
+
+
+def test_takes_without_captions_and_then_with(motionkit, takes, monkeypatch):
+    monkeypatch.chdir(takes.parent)
+    said = []
+
+    def run(words):
+        outcome = motionkit(*at_tiny_sizes(words))
+        assert outcome.code == 0, (words, outcome.stderr)
+        said.append((words[0], outcome.stdout))
+
+    without, with_captions = (block for block in blocks(PAGE) if block.language == "bash")
+    run_blocks([without], PAGE, run)
+    follows = [re.findall(r"^next: motionkit (\w+)", text, re.MULTILINE) for _, text in said]
+    names = [name for name, _ in said]
+    assert names == ["ingest", "info", "split", "train", "eval", "generate", "view", "report"]
+    assert follows == [["split"], [], ["train"], ["eval"], [], [], [], []]
+    assert "real, disjoint halves" in said[4][1]
+    assert len(list(Path("made").glob("*.bvh"))) == 1
+    page = Path("results/report.html").read_text(encoding="utf-8")
+    assert "Run nano" in page and page.count("<iframe ") == 2 and "real motion" in page
+    assert page.count('<img class="figure"') == 2, "the training and the table"
+    said.clear()
+    run_blocks([with_captions], PAGE, run)
+    assert [re.findall("next: motionkit (.*)", text) for _, text in said] == [["split"], ["train"]]
+    sequences = mk.Store.open("store").sequences
+    assert set(sequences.groupby("subject")["split"].nunique()) == {1} and set(sequences["captions"].map(len)) == {1}
+
+
+def test_readme_has_the_same_commands():
+    readme = (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    block = re.search(r"Five takes as BVH.*?```\n(.*?)```", readme, re.DOTALL)
+    assert block is not None
+    lines = [line.partition("#")[0].strip() for line in block[1].splitlines()]
+    page = blocks(PAGE)[0].text.splitlines()
+    assert len(lines) == 4 and [line for line in page if line in lines] == lines

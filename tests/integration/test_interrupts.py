@@ -6,16 +6,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+import motionkit as mk
 from motionkit.cli import app
-from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.store import Store
 from tests.helpers.format_samples import bvh_text
 from tests.helpers.outcome import Outcome
 
@@ -46,18 +44,14 @@ def interrupted(*arguments: object) -> None:
     raise KeyboardInterrupt
 
 
-def test_an_interrupted_command_says_so(
-    motionkit: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_command_says_so(motionkit, tmp_path, monkeypatch):
     monkeypatch.setattr("motionkit.store.Store.open", interrupted)
     outcome = motionkit("info", "--store", tmp_path)
     assert (outcome.code, outcome.stdout, outcome.stderr) == (130, "", STOPPED)
 
 
-@pytest.mark.parametrize("raised", [KeyboardInterrupt, RuntimeError, MotionkitError, UsageError])
-def test_so_does_one_that_is_being_loaded(
-    raised: type[BaseException], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.parametrize("raised", [KeyboardInterrupt, RuntimeError, mk.MotionkitError, mk.UsageError])
+def test_so_does_one_that_is_being_loaded(raised, monkeypatch, capsys):
     def loading(only: str = "") -> None:
         try:
             signal.raise_signal(signal.SIGINT)
@@ -113,15 +107,15 @@ def test_whenever_it_comes_the_store_stays_and_nothing_is_left(
     assert run(ingest_of(corpus / "take-00.bvh", store), temporary)[0].code == 0
     before = contents(store)
     for moment in range(num_moments):
-        sent = Sent(number, seconds_of_all * moment / num_moments, to_group)
-        outcome, _ = run(ingest_of(corpus, store), temporary, sent)
+        after = seconds_of_all * moment / num_moments
+        outcome, _ = run(ingest_of(corpus, store), temporary, number, after, to_group)
         assert list(temporary.rglob("*")) == [], moment
         if outcome.code == 0:  # this time it was faster
             assert outcome.stderr == ""
         else:
             assert (outcome.code, outcome.stdout, outcome.stderr) == (130, "begun\n", STOPPED), moment
         if contents(store) != before:  # one that comes with the commit comes too late
-            assert len(Store.open(store).sequences) == NUM_TAKES
+            assert len(mk.Store.open(store).sequences) == NUM_TAKES
             break
 
 
@@ -129,17 +123,13 @@ def ingest_of(source: Path, store: Path) -> list[str]:
     return ["ingest", str(source), "--store", str(store), "--workers", "2"]
 
 
-@dataclass(frozen=True)
-class Sent:
-    """A signal for a command, or for it and all processes that it has started, so long after its begin."""
+def run(
+    arguments: list[str], temporary: Path, number: signal.Signals | None = None, after: float = 0, to_group: bool = True
+) -> tuple[Outcome, float]:
+    """Run the command, which may be sent a signal after some seconds, with or without all processes that it started.
 
-    number: signal.Signals
-    after_seconds: float
-    to_group: bool
-
-
-def run(arguments: list[str], temporary: Path, sent: Sent | None = None) -> tuple[Outcome, float]:
-    """Run the command, which may be sent a signal; all its processes have ended when this returns."""
+    All its processes have ended when this returns: what the command left behind, and how many seconds it took.
+    """
     process = subprocess.Popen(
         [sys.executable, "-c", SCRIPT, *arguments],
         env=os.environ | {"TMPDIR": str(temporary)},
@@ -151,10 +141,10 @@ def run(arguments: list[str], temporary: Path, sent: Sent | None = None) -> tupl
     try:
         assert process.stdout is not None
         begun, start = process.stdout.readline(), time.monotonic()
-        if sent is not None:
-            time.sleep(sent.after_seconds)
+        if number is not None:
+            time.sleep(after)
             if process.poll() is None:
-                (os.killpg if sent.to_group else os.kill)(process.pid, sent.number)
+                (os.killpg if to_group else os.kill)(process.pid, number)
         stdout, stderr = process.communicate(timeout=60)
         seconds = time.monotonic() - start
         wait_for_group(process.pid)

@@ -1,16 +1,23 @@
 """What other systems write, through the command line: as captures, and as samples of a model."""
 
+import json
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import motionkit as mk
+from eval.commands.samples import samples as command
+from eval.sample_folder.manifest import Manifest, read_manifest
+from motionkit.core.errors import MotionkitError
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import humanml3d
+from tests.helpers import published_layouts as published
 from tests.helpers import vector_samples
 from tests.helpers.analytic import analytic_motion
+from tests.helpers.repository import REPOSITORY
 from tests.helpers.vector_samples import interhuman_rows, motionstreamer_rows
 
 FRAMES = 40
@@ -73,8 +80,8 @@ def test_one_file_of_pose_vectors_goes_everywhere(motionkit, tmp_path):
 def test_what_is_never_loaded_is_refused_with_the_page_that_converts_it(motionkit, tmp_path, suffix):
     path = tmp_path / f"walk{suffix}"
     path.write_bytes(b"cos\nmkdir\n(S'" + str(tmp_path / "sprung").encode() + b"'\ntR.")
-    for command in (("ingest", path, "--store", tmp_path / "store"), ("samples", path), ("view", path)):
-        outcome = motionkit(*command)
+    for words in (("ingest", path, "--store", tmp_path / "store"), ("samples", path), ("view", path)):
+        outcome = motionkit(*words)
         assert outcome.code == 1 and not (tmp_path / "sprung").exists()
     assert "docs/formats.md" in outcome.stderr
 
@@ -104,3 +111,47 @@ def test_a_rig_is_shown_and_a_map_of_it_drafted(motionkit, tmp_path):
     reached = map_joints(found, "smpl22")[:, [4, 7, 18, 20]] - walk.joint_positions[:, [4, 7, 18, 20]]
     assert np.abs(reached).max() < 2e-3
     assert motionkit("info", "--init", tmp_path / "none.toml").code == 2
+
+
+DEFAULTS = {"init": False, "fps": None, "up": None}
+
+
+@pytest.fixture
+def samples(capsys):
+    """What the command prints on stdout."""
+
+    def run(folder: Path, **given: object) -> str:
+        capsys.readouterr()
+        command(folder, **{**DEFAULTS, "as_json": False, **given})
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_a_folder_is_described(samples, tmp_path):
+    folder = published.write_mdm(tmp_path / "mdm")
+    assert samples(folder, fps="20").splitlines()[:5] == [
+        "motions     6, 0.3 min, 53 to 73 frames (median 63)",
+        "framerate   20 fps (6)",
+        "captions    6, 3 different",
+        "actions     none",
+        "prompts     3 with 2 motions each",
+    ]
+    found = json.loads(samples(folder, fps="20", as_json=True))
+    assert found["prompt_sizes"] == {"2": 3}
+    assert found["body_metres"] == pytest.approx(1.48, abs=0.03)
+    with pytest.raises(MotionkitError, match=r"results\.npy: nothing says its framerate"):
+        samples(folder)
+
+
+def test_the_manifests_of_the_page_are_manifests(tmp_path):
+    page = (REPOSITORY / "docs" / "samples.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    assert len(blocks) == 2
+    for name in ("mean.npy", "std.npy", "prompts.txt", "text_prompt.txt"):
+        (tmp_path / name).write_bytes(b"")
+    for block in blocks:
+        (tmp_path / "samples.toml").write_text(block, encoding="utf-8")
+        assert read_manifest(tmp_path).fps == 20
+    whole = set(re.findall(r"^(\w+) = ", blocks[0], re.MULTILINE)) | {"exclude"}
+    assert whole == {field.name for field in fields(Manifest)}

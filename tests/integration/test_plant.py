@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.core.motion import Motion
+import motionkit as mk
 from motionkit.fields.contact.bones import legs_of
 from motionkit.io.bvh import read_bvh, write_bvh
 from motionkit.io.npz import read_npz, write_npz
-from motionkit.store import Store, StoreWriter
 from tests.helpers.analytic import capture
 from tests.helpers.outcome import Outcome
 
@@ -22,12 +21,12 @@ FPS = Fraction(60)
 
 
 @pytest.fixture(scope="module")
-def standing() -> Motion:
+def standing() -> mk.Motion:
     return replace(capture(FPS, "walk", seconds=4.0), sequence_id="walk")
 
 
 @pytest.fixture(scope="module")
-def sliding(standing: Motion) -> Motion:
+def sliding(standing: mk.Motion) -> mk.Motion:
     """The same walk on a floor that goes at 0.2 m/s."""
     step = np.zeros((standing.num_frames, 3), np.float32)
     step[:, 2] = 0.2 * standing.timegrid.seconds()
@@ -39,13 +38,13 @@ def sliding(standing: Motion) -> Motion:
     )
 
 
-def steadiest(motion: Motion) -> float:
+def steadiest(motion: mk.Motion) -> float:
     """Mean horizontal speed of the slowest foot joint, m/s: of a walk, one always rests."""
     feet = motion.joint_positions[:, list(legs_of(motion.skeleton).feet)][..., ::2].astype(np.float64)
     return float((np.linalg.norm(np.diff(feet, axis=0), axis=-1).min(axis=1) * float(motion.fps)).mean())
 
 
-def test_a_bvh_file_whose_feet_slide(motionkit: Run, sliding: Motion, tmp_path: Path) -> None:
+def test_a_bvh_file_whose_feet_slide(motionkit: Run, sliding: mk.Motion, tmp_path: Path) -> None:
     write_bvh(sliding, tmp_path / "walk.bvh")
     outcome = motionkit("plant", tmp_path / "walk.bvh", "--json")
     assert outcome.code == 0, outcome.stderr
@@ -66,7 +65,13 @@ def test_a_bvh_file_whose_feet_slide(motionkit: Run, sliding: Motion, tmp_path: 
     assert texts[0].partition("MOTION")[0] == texts[1].partition("MOTION")[0]
 
 
-def test_frames_that_nothing_moves_stay_to_the_last_digit(motionkit: Run, standing: Motion, tmp_path: Path) -> None:
+def test_feet_that_stand_stay_where_they_are(motionkit: Run, standing: mk.Motion, tmp_path: Path) -> None:
+    write_bvh(standing, tmp_path / "walk.bvh")
+    (told,) = json.loads(motionkit("plant", tmp_path / "walk.bvh", "--json").stdout)["clips"]
+    assert told["largest_change"] < 0.01
+
+
+def test_frames_that_nothing_moves_stay_to_the_last_digit(motionkit: Run, standing: mk.Motion, tmp_path: Path) -> None:
     """A walk on a floor that begins to go after three seconds."""
     step = np.zeros((standing.num_frames, 3), np.float32)
     step[:, 2] = 0.2 * np.maximum(standing.timegrid.seconds() - 3.0, 0.0)
@@ -82,7 +87,7 @@ def test_frames_that_nothing_moves_stay_to_the_last_digit(motionkit: Run, standi
     assert 0.3 < np.mean(same) < 1.0
 
 
-def test_a_folder_a_store_and_arrays(motionkit: Run, sliding: Motion, tmp_path: Path) -> None:
+def test_a_folder_a_store_and_arrays(motionkit: Run, sliding: mk.Motion, tmp_path: Path) -> None:
     folder = tmp_path / "clips"
     folder.mkdir()
     bare = replace(sliding, local_rotations=None, root_translation=None)
@@ -97,9 +102,9 @@ def test_a_folder_a_store_and_arrays(motionkit: Run, sliding: Motion, tmp_path: 
     assert again.code == 1
     assert again.stderr.count("exists") == 2
     store = tmp_path / "store"
-    with StoreWriter.create(store) as writer:
+    with mk.StoreWriter.create(store) as writer:
         writer.add(sliding)
     outcome = motionkit("plant", "--store", store, "--out", tmp_path / "made")
     assert outcome.code == 0, outcome.stderr
-    assert steadiest(read_npz(tmp_path / "made" / "walk.npz")) < 0.3 * steadiest(Store.open(store)["walk"])
+    assert steadiest(read_npz(tmp_path / "made" / "walk.npz")) < 0.3 * steadiest(mk.Store.open(store)["walk"])
     assert motionkit("plant").code == 2

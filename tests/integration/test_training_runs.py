@@ -70,9 +70,7 @@ def assert_the_same(folder: StageFolder, expected: StageFolder) -> None:
 
 
 @pytest.mark.parametrize("name", STAGES)
-def test_an_interrupted_run_equals_an_uninterrupted_one_bit_by_bit(
-    name: str, store: Path, run: Path, other_run: Callable[[str], StageFolder], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_run_equals_an_uninterrupted_one_bit_by_bit(name, store, run, other_run, monkeypatch):
     def interrupting(seed: int, purpose: str, step: int) -> torch.Generator:
         if step == 3:
             os.kill(os.getpid(), signal.SIGINT)
@@ -88,9 +86,7 @@ def test_an_interrupted_run_equals_an_uninterrupted_one_bit_by_bit(
     assert_the_same(folder, RunFolder(run).stage(name))
 
 
-def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(
-    store: Path, run: Path, other_run: Callable[[str], StageFolder], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(store, run, other_run, monkeypatch):
     folder = other_run("field")
     monkeypatch.setattr(loop, "has_bfloat16", lambda device: True)
     asked = replace(NERM, field=replace(NERM.field, precision="auto"))

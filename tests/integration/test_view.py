@@ -1,7 +1,6 @@
 """`motionkit view`, file to page: every kind of motion, stretches, limits, what is told when nothing is shown."""
 
 import json
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
@@ -11,28 +10,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motionkit.core.motion import Caption, Motion
+import motionkit as mk
 from motionkit.features import humanml3d
 from motionkit.features.humanml3d import process
 from motionkit.fields.motion_field import to_motion
 from motionkit.io.bvh import read_bvh, write_bvh
 from motionkit.io.humanml3d import Entry
 from motionkit.io.npz import write_npz
-from motionkit.store import StoreWriter
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.every_format import write_pose_folder
 from tests.helpers.outcome import Outcome
-from tests.helpers.packed import unpack
+from tests.helpers.packed import HALF_STEP, page_data, unpack
 
 Run = Callable[..., Outcome]
-HALF_STEP = 5.1e-5
 
 
 @pytest.fixture(scope="module")
-def motion() -> Motion:
+def motion() -> mk.Motion:
     """Two seconds of a walk at 30 fps, with rotations."""
     walked = to_motion(analytic_motion("walk", 2.0), Fraction(30))
-    captions = (Caption("a person walks", 0.0, 1.0), Caption("on"))
+    captions = (mk.Caption("a person walks", 0.0, 1.0), mk.Caption("on"))
     return replace(walked.frames(0, 60), sequence_id="set/walk", captions=captions, action="walk")
 
 
@@ -46,13 +43,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def takes_of(outcome: Outcome) -> list[dict[str, Any]]:
     """What the page holds that a call has written."""
     assert outcome.code == 0, outcome.stderr
-    text = Path(outcome.stdout.strip()).read_text("utf-8")
-    found = re.findall(r'<script id="data" type="application/json">(.*?)</script>', text, re.DOTALL)
-    takes: list[dict[str, Any]] = json.loads(found[0])["takes"]
+    takes: list[dict[str, Any]] = page_data(Path(outcome.stdout.strip()).read_text("utf-8"))["takes"]
     return takes
 
 
-def test_a_bvh_file_at_its_own_framerate(motionkit: Run, motion: Motion) -> None:
+def test_a_bvh_file_at_its_own_framerate(motionkit: Run, motion: mk.Motion) -> None:
     write_bvh(motion, Path("walk.bvh"))
     outcome = motionkit("view", "walk.bvh")
     assert outcome.stdout == "walk.view.html\n" and outcome.stderr == ""
@@ -64,14 +59,14 @@ def test_a_bvh_file_at_its_own_framerate(motionkit: Run, motion: Motion) -> None
     assert motionkit("view", "walk.bvh", "--overwrite").code == 0
 
 
-def test_many_kinds_side_by_side_each_on_its_own_frames(motionkit: Run, motion: Motion) -> None:
+def test_many_kinds_side_by_side_each_on_its_own_frames(motionkit: Run, motion: mk.Motion) -> None:
     write_npz(motion, Path("walk.npz"))
     np.save("joints.npy", motion.joint_positions)
     vectors = humanml3d.vectors(process(motion.joint_positions, "smpl22"), "smpl22")
     np.save("vectors.npy", vectors)
     told = motionkit("view", "joints.npy", "--fps", "60000/1001", "--out", "one.html")
     assert takes_of(told)[0]["fps"] == [60000, 1001]
-    with StoreWriter.create(Path("store")) as writer:
+    with mk.StoreWriter.create(Path("store")) as writer:
         writer.add(motion)
     outcome = motionkit("view", "walk.npz", "vectors.npy", "set/walk", "--out", "pages/all.html", "--json")
     report = json.loads(outcome.stdout)
@@ -89,7 +84,7 @@ def test_many_kinds_side_by_side_each_on_its_own_frames(motionkit: Run, motion: 
     np.testing.assert_allclose(unpack(of_vectors["positions"]), humanml3d.positions(vectors, "smpl22"), atol=1e-4)
 
 
-def test_folders_one_bad_file_costs_nothing_of_the_others(motionkit: Run, motion: Motion) -> None:
+def test_folders_one_bad_file_costs_nothing_of_the_others(motionkit: Run, motion: mk.Motion) -> None:
     vectors = humanml3d.vectors(process(motion.joint_positions, "smpl22"), "smpl22")
     entry = Entry("000001", humanml3d.positions(vectors, "smpl22"), vectors)
     write_pose_folder(Path("takes/set"), [entry])
@@ -128,9 +123,7 @@ def test_folders_one_bad_file_costs_nothing_of_the_others(motionkit: Run, motion
         (["notes.md"], 1, "of no known format"),
     ],
 )
-def test_what_cannot_be_shown_is_reported_in_a_line(
-    motionkit: Run, motion: Motion, arguments: list[str], code: int, told: str
-) -> None:
+def test_what_cannot_be_shown_is_reported_in_a_line(motionkit, motion, arguments, code, told):
     if "." not in arguments:
         write_npz(motion, Path("walk.npz"))
     np.save("joints.npy", motion.joint_positions)
@@ -140,7 +133,7 @@ def test_what_cannot_be_shown_is_reported_in_a_line(
     assert not list(Path().glob("*.html"))
 
 
-def test_films_and_strips(motionkit: Run, motion: Motion, here: Path) -> None:
+def test_films_and_strips(motionkit: Run, motion: mk.Motion, here: Path) -> None:
     write_npz(motion.frames(0, 6), here / "walk.npz")
     for options, name in ((("--format", "png"), "walk.png"), (("--out", "slow.gif", "--speed", 0.5), "slow.gif")):
         outcome = motionkit("view", "walk.npz", *options)

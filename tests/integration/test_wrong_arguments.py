@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import motionkit as mk
-from motionkit.generate.motion import MotionModel
 from tests.helpers.drift_model import DriftModel
 from tests.helpers.format_samples import bvh_text
 
@@ -37,15 +36,13 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     motion = mk.read(folder / "walk.bvh")
     with mk.StoreWriter.create(folder / "store") as writer:
         writer.add(motion)
-    model = MotionModel(DriftModel(), Path("runs/drift"))
+    model = mk.MotionModel(DriftModel(), Path("runs/drift"))
     array = np.zeros((9, 22, 3), np.float32)
     return {"mk": mk, "array": array, "motion": motion, "store": mk.Store.open(folder / "store"), "model": model}
 
 
 @pytest.mark.parametrize("code", ANSWERED)
-def test_a_wrong_argument_is_answered_in_one_line(
-    code: str, names: dict[str, Any], unchecked_annotations: None
-) -> None:
+def test_a_wrong_argument_is_answered_in_one_line(code, names, unchecked_annotations):
     with pytest.raises(mk.MotionkitError) as caught:
         eval(code, names)
     message = str(caught.value)

@@ -17,8 +17,7 @@ from nerm.encoding import NermEncoder, encode_by_optimisation, minimise_each
 from nerm.field import PoseTensors, TrainedField
 from nerm.field_training import FieldTraining
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source
-from tests.helpers.observed_errors import observed_errors
-from tests.helpers.velocities import joint_velocities
+from tests.helpers.velocities import joint_velocities, observed_errors
 from tests.nerm.small_fields import SMALL, error_mm, finished, losses_of, small_poses
 
 SECONDS = 11.0

@@ -37,9 +37,7 @@ def test_texts_are_shown_and_not_obeyed(text: str, shown: str) -> None:
 
 
 @pytest.mark.parametrize("text", HOSTILE)
-def test_json_holds_the_same_text_without_a_letter_that_is_obeyed(
-    text: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_holds_the_same_text_without_a_letter_that_is_obeyed(text, capsys):
     print_json({"name": [text]})
     printed = capsys.readouterr().out
     assert all(printable(line) == line for line in printed.splitlines())

@@ -5,18 +5,32 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import typer
 from typer.testing import CliRunner
 
+import motionkit as mk
 from motionkit.cli.app import build_app
-from motionkit.core.errors import FormatError, MotionkitError, UsageError
-from motionkit.core.motion import Caption
-from motionkit.core.skeleton import SMPL22
+from motionkit.cli.generate import generate
+from motionkit.generate import models
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.output import motion_name
 from motionkit.io.npz import read_npz
-from motionkit.store import Store
 from tests.helpers.drift_model import DriftModel, GoesOn, contents, rows_of
 from tests.helpers.killing import killed_before
+
+
+@pytest.fixture
+def run_command(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    app = typer.Typer()
+    app.command()(generate)
+
+    def run(*arguments, model=None):
+        monkeypatch.setattr(models, "model_of", lambda run: "drift")
+        monkeypatch.setattr(models, "load_model", lambda name, run: model or DriftModel())
+        return CliRunner().invoke(app, list(arguments), catch_exceptions=False)
+
+    return run
 
 
 def test_texts_become_a_batch_of_files(run_command, tmp_path):
@@ -35,9 +49,9 @@ def test_texts_become_a_batch_of_files(run_command, tmp_path):
         assert arrays["joint_positions"].dtype == np.float32
         np.testing.assert_allclose(arrays["time_seconds"], np.arange(864) / 144)
         assert (float(arrays["fps"]), str(arrays["captions"][0])) == (144.0, "A jump!")
-        assert tuple(arrays["joint_names"]) == SMPL22.joint_names
+        assert tuple(arrays["joint_names"]) == mk.SMPL22.joint_names
     motion = read_npz(tmp_path / "made" / names[2])
-    assert (motion.fps, motion.captions) == (Fraction(144), (Caption("A jump!"),))
+    assert (motion.fps, motion.captions) == (Fraction(144), (mk.Caption("A jump!"),))
 
 
 def test_arbitrary_instants(run_command, tmp_path):
@@ -47,7 +61,7 @@ def test_arbitrary_instants(run_command, tmp_path):
         np.testing.assert_allclose(arrays["time_seconds"], [0.5, 1.25, 0.0])
         np.testing.assert_allclose(arrays["joint_positions"][:, 0, 2], [4.5, 5.25, 4.0])
         assert "fps" not in arrays
-    with pytest.raises(FormatError, match="0000-unconditional"):
+    with pytest.raises(mk.FormatError, match="0000-unconditional"):
         read_npz(tmp_path / "made" / "0000-unconditional.npz")
 
 
@@ -80,7 +94,7 @@ POINTS = "seconds,x,z\n0,0,5\n2,0,7\n"
 )
 def test_what_makes_no_sense_is_refused(run_command, tmp_path, arguments, message):
     (tmp_path / "points.csv").write_text(POINTS)
-    with pytest.raises(UsageError, match=message):
+    with pytest.raises(mk.UsageError, match=message):
         run_command(*arguments)
     assert not (tmp_path / "generated").exists()
 
@@ -95,9 +109,9 @@ def test_a_path_is_followed_and_its_error_reported(run_command, tmp_path):
     manifest = json.loads((tmp_path / "generated" / "generation.json").read_text())
     assert [each["name"] for each in manifest["constraints"]] == ["points.csv"]
     (tmp_path / "points.csv").write_text(POINTS.replace("7", "8"))
-    with pytest.raises(UsageError, match="constraints"):
+    with pytest.raises(mk.UsageError, match="constraints"):
         run_command("a walk", "--path", "points.csv", "--resume", model=GoesOn())
-    with pytest.raises(UsageError, match=r"points\.csv"):
+    with pytest.raises(mk.UsageError, match=r"points\.csv"):
         run_command("a walk", "--path", "points.csv", "--seconds", "1", "--out", "other", model=GoesOn())
 
 
@@ -117,9 +131,9 @@ def test_texts_in_a_row_are_one_motion(run_command, tmp_path):
     assert (manifest["joined"], manifest["overlap_seconds"]) == (True, 0.5)
     result = CliRunner().invoke(build_app(), ["ingest", str(tmp_path / "made"), "--store", "store"])
     assert result.exit_code == 0
-    motions = list(Store.open(tmp_path / "store").read_many([0, 1]))
-    assert motions[0].captions == (Caption("a walk", 0.0, 4.0), Caption("a jump", 4.0, 8.0))
-    with pytest.raises(UsageError, match="joined"):
+    motions = list(mk.Store.open(tmp_path / "store").read_many([0, 1]))
+    assert motions[0].captions == (mk.Caption("a walk", 0.0, 4.0), mk.Caption("a jump", 4.0, 8.0))
+    with pytest.raises(mk.UsageError, match="joined"):
         run_command(*[part for part in call if part != "--join"], "--out", "made", "--resume")
 
 
@@ -137,7 +151,7 @@ def test_a_file_of_prompts(run_command, tmp_path):
         *[("", "jump", 60)] * 2,
     ]
     (tmp_path / "bad.csv").write_text("text,action\na walk,\n,fly\n")
-    with pytest.raises(UsageError, match=r"bad\.csv, line 3"):
+    with pytest.raises(mk.UsageError, match=r"bad\.csv, line 3"):
         run_command("--prompts", "bad.csv", "--out", "other")
     assert not (tmp_path / "other").exists()
 
@@ -153,7 +167,7 @@ def test_a_stopped_call_goes_on_where_it_was(run_command, tmp_path):
     for name in ("motions.csv", "0063-unconditional.npz", "0069-unconditional.npz"):
         assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     assert json.loads(run_command(*call, "--out", "parts", "--resume", "--json").stdout)["motions"] == []
-    with pytest.raises(UsageError, match="seed"):
+    with pytest.raises(mk.UsageError, match="seed"):
         run_command(*call, "--out", "parts", "--resume", "--seed", "1")
 
 
@@ -180,14 +194,14 @@ def test_a_damaged_request_is_refused(run_command, tmp_path):
     for text in (whole[:-40], whole.replace('"0000-a-walk.npz"', '"../foreign.npz"'), '{"format": "another"}'):
         manifest.write_text(text)
         (tmp_path / "foreign.npz").write_text("mine")
-        with pytest.raises(MotionkitError, match=r"generation\.json"):
+        with pytest.raises(mk.MotionkitError, match=r"generation\.json"):
             run_command(*call, "--overwrite")
         assert (tmp_path / "foreign.npz").read_text() == "mine"
 
 
 def test_nothing_is_overwritten_unasked(run_command, tmp_path):
     run_command("a walk", "--seconds", "1", "--out", "made")
-    with pytest.raises(UsageError, match="--resume"):
+    with pytest.raises(mk.UsageError, match="--resume"):
         run_command("a walk", "--seconds", "1", "--out", "made")
     (tmp_path / "made" / "mine.txt").write_text("mine")
     run_command("a jump", "--seconds", "1", "--out", "made", "--overwrite", "--format", "bvh")
@@ -197,5 +211,5 @@ def test_nothing_is_overwritten_unasked(run_command, tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "mine.txt").write_text("mine")
     for option in ("--resume", "--overwrite"):
-        with pytest.raises(UsageError, match="other"):
+        with pytest.raises(mk.UsageError, match="other"):
             run_command("a walk", "--seconds", "1", "--out", "other", option)

@@ -1,6 +1,5 @@
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -125,9 +124,7 @@ def with_nan() -> np.ndarray:
         (standing() / 0.0254, ValueError, "inches"),
     ],
 )
-def test_joints_that_are_no_motion_in_metres_are_refused_in_one_line(
-    unchecked_annotations: None, joints: Any, error: type[Exception], says: str
-) -> None:
+def test_joints_that_are_no_motion_in_metres_are_refused_in_one_line(unchecked_annotations, joints, error, says):
     with pytest.raises(error, match=says) as caught:
         Motion.from_joints(joints, 30)
     assert "\n" not in str(caught.value)

@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.core.errors import FormatError
-from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22, Skeleton
+import motionkit as mk
 from motionkit.core.skeletons.mapping import (
     SkeletonMapError,
     draft_map,
@@ -30,7 +28,7 @@ from tests.helpers.format_samples import bvh_text
 from tests.helpers.refusal import refusal
 
 
-def tree(*chains: str) -> Skeleton:
+def tree(*chains: str) -> mk.Skeleton:
     names: list[str] = []
     parents: list[int] = []
     for words in map(str.split, chains):
@@ -38,10 +36,10 @@ def tree(*chains: str) -> Skeleton:
             if name not in names:
                 names.append(name)
                 parents.append(names.index(above) if above else -1)
-    return Skeleton("rig", tuple(names), tuple(parents), np.tile(np.float32([0.01, 0.1, 0]), (len(names), 1)))
+    return mk.Skeleton("rig", tuple(names), tuple(parents), np.tile(np.float32([0.01, 0.1, 0]), (len(names), 1)))
 
 
-def body(sides: tuple[str, str], leg: str, arm: str, head: str) -> Skeleton:
+def body(sides: tuple[str, str], leg: str, arm: str, head: str) -> mk.Skeleton:
     return tree(*(leg.replace("*", side) for side in sides), *(arm.replace("*", side) for side in sides), head)
 
 
@@ -107,9 +105,9 @@ def test_a_users_map_reaches_the_22_joints_and_travels_with_the_skeleton(tmp_pat
     assert motion.skeleton != plain.skeleton and motion.skeleton.fingerprint != plain.skeleton.fingerprint
     body = map_joints(motion, "smpl22")
     names = motion.skeleton.joint_names
-    assert np.allclose(body[:, SMPL22.index("left_wrist")], motion.joint_positions[:, names.index("L-gripper")])
+    assert np.allclose(body[:, mk.SMPL22.index("left_wrist")], motion.joint_positions[:, names.index("L-gripper")])
     middle = motion.joint_positions[:, [names.index("torso_mid"), names.index("throat")]].mean(axis=1)
-    assert np.allclose(body[:, SMPL22.index("spine3")], middle, atol=1e-6)
+    assert np.allclose(body[:, mk.SMPL22.index("spine3")], middle, atol=1e-6)
     mapping = joint_map(motion.skeleton, "smpl22")
     assert mapping.family == "robot" and not mapping.made_up
     assert map_joints(motion, "kit21").shape == (4, 21, 3)
@@ -119,21 +117,21 @@ def test_a_map_is_preferred_to_a_shipped_family_and_the_most_demanding_one_wins(
     general = '{"name":"general","requires":["pelvis"],"smpl22":' + rows_of_smpl22() + "}"
     special = '{"name":"special","requires":["pelvis","head"],"smpl22":' + rows_of_smpl22() + "}"
     other = '{"name":"other","requires":["tail"],"smpl22":' + rows_of_smpl22() + "}"
-    skeleton = with_layout_map(SMPL22, (other, general, special))
+    skeleton = with_layout_map(mk.SMPL22, (other, general, special))
     assert parse_layout_map(skeleton.layout_map).name == "special"
     assert joint_map(skeleton, "smpl22").family == "special"
-    assert with_layout_map(skeleton, (general,)) is skeleton and with_layout_map(SMPL22, (other,)) is SMPL22
-    assert skeleton != SMPL22 and with_layout_map(SMPL22, (special,)) == skeleton
+    assert with_layout_map(skeleton, (general,)) is skeleton and with_layout_map(mk.SMPL22, (other,)) is mk.SMPL22
+    assert skeleton != mk.SMPL22 and with_layout_map(mk.SMPL22, (special,)) == skeleton
 
 
 def rows_of_smpl22() -> str:
-    return "{" + ",".join(f'"{name}":"{name}"' for name in SMPL22.joint_names) + "}"
+    return "{" + ",".join(f'"{name}":"{name}"' for name in mk.SMPL22.joint_names) + "}"
 
 
 def test_joints_that_a_map_does_not_reach(tmp_path: Path) -> None:
     """Toes are made up; any other is an error that names it."""
     names = tuple(ROBOT.values())
-    skeleton = Skeleton("robot", names, (-1, *([0] * (len(names) - 1))), np.zeros((len(names), 3), np.float32))
+    skeleton = mk.Skeleton("robot", names, (-1, *([0] * (len(names) - 1))), np.zeros((len(names), 3), np.float32))
     toeless = read_skeleton_map(write_map(tmp_path, robot_map(left_foot="", right_foot="")))
     assert joint_map(with_layout_map(skeleton, (toeless,)), "smpl22").made_up == ("left_foot", "right_foot")
     other = read_skeleton_map(write_map(tmp_path, robot_map(left_wrist='"L-hand"', neck='["gullet", "gorge"]')))
@@ -152,7 +150,7 @@ def test_a_map_travels_in_an_npz_file(tmp_path: Path) -> None:
     assert again.skeleton == motion.skeleton and again.skeleton.layout_map == layout_map
     with np.load(tmp_path / "walk.npz") as arrays:
         np.savez(tmp_path / "bad.npz", **{**arrays, "layout_map": np.array("{}")})
-    with pytest.raises(FormatError, match=r"bad\.npz"):
+    with pytest.raises(mk.FormatError, match=r"bad\.npz"):
         read_npz(tmp_path / "bad.npz")
 
 
@@ -190,7 +188,7 @@ def test_a_draft_has_the_joints_that_are_called_as_others_and_names_the_rest(tmp
     fitted = with_layout_map(skeleton, [read_skeleton_map(write_map(tmp_path, completed))])
     mapped = joint_map(fitted, "smpl22")
     assert mapped.family == "robot" and mapped.made_up == ("left_foot", "right_foot")
-    assert mapped.weights[SMPL22.index("right_wrist"), skeleton.index("rGripper")] == 1.0
+    assert mapped.weights[mk.SMPL22.index("right_wrist"), skeleton.index("rGripper")] == 1.0
 
 
 # Rigs of engines, and joints that are not SMPL's by another family's rows.
@@ -220,17 +218,17 @@ SHIPPED = {
 @pytest.mark.parametrize("name", SHIPPED)
 def test_rigs_of_engines_are_known_without_a_map(name: str) -> None:
     skeleton, expected = SHIPPED[name]
-    mapped = joint_map(skeleton, SMPL22.name)
+    mapped = joint_map(skeleton, mk.SMPL22.name)
     assert mapped.family == name.split()[0] and not mapped.made_up
     for joint, own in expected.items():
-        assert mapped.weights[SMPL22.index(joint), skeleton.index(own)] == 1.0
+        assert mapped.weights[mk.SMPL22.index(joint), skeleton.index(own)] == 1.0
     heights = (mapped.weights @ rest_positions(skeleton))[:, 1]
-    spine = [heights[SMPL22.index(joint)] for joint in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")]
+    spine = [heights[mk.SMPL22.index(joint)] for joint in ("pelvis", "spine1", "spine2", "spine3", "neck", "head")]
     assert spine == sorted(spine)
 
 
 def test_an_unknown_skeleton_names_what_is_missing() -> None:
-    rope = Skeleton("rope", ("a", "b"), (-1, 0), np.zeros((2, 3), np.float32))
+    rope = mk.Skeleton("rope", ("a", "b"), (-1, 0), np.zeros((2, 3), np.float32))
     with pytest.raises(SkeletonMapError, match="pelvis") as caught:
         joint_map(rope, "smpl22")
     again = copy.copy(caught.value)  # as pickle copies it between processes
@@ -247,14 +245,14 @@ def test_names_are_compared_without_namespace_prefix_and_case() -> None:
 
 
 def test_made_up_toes_lie_ahead_of_the_ankles() -> None:
-    names = tuple(name for name in SMPL22.joint_names if name not in ("left_foot", "right_foot"))
-    keep = [SMPL22.index(name) for name in names]
-    parents = tuple(names.index(SMPL22.joint_names[SMPL22.parents[joint]]) if joint else -1 for joint in keep)
-    footless = Skeleton("footless", names, parents, SMPL22.offsets[keep])
+    names = tuple(name for name in mk.SMPL22.joint_names if name not in ("left_foot", "right_foot"))
+    keep = [mk.SMPL22.index(name) for name in names]
+    parents = tuple(names.index(mk.SMPL22.joint_names[mk.SMPL22.parents[joint]]) if joint else -1 for joint in keep)
+    footless = mk.Skeleton("footless", names, parents, mk.SMPL22.offsets[keep])
     body = rest_positions(footless)
     body += np.array([0, 0.9, 0], np.float32)
-    motion = Motion(np.repeat(body[None], 2, axis=0), footless, TimeGrid(parse_fps(30), 2))
-    toe = map_joints(motion, "smpl22")[:, SMPL22.index("left_foot")] - body[names.index("left_ankle")]
+    motion = mk.Motion(np.repeat(body[None], 2, axis=0), footless, TimeGrid(parse_fps(30), 2))
+    toe = map_joints(motion, "smpl22")[:, mk.SMPL22.index("left_foot")] - body[names.index("left_ankle")]
     assert np.allclose(toe, (0.0, -0.14 * 0.4324, 0.33 * 0.4324), atol=1e-5)
     assert map_joints(motion, "kit21").shape == (2, 21, 3)
 

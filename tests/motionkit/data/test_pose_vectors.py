@@ -7,16 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import motionkit as mk
 from eval.tables.nerm.reconstruction import window_truth
-from motionkit.core.errors import UsageError
 from motionkit.core.motion import mirror_positions
-from motionkit.core.skeleton import SMPL22
 from motionkit.data.windows import WindowPoses, cut_windows, open_frames, training_rig, training_vectors, with_rotations
 from motionkit.features import field, native
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.cache import PositionCache
-from motionkit.store.reader import Store
-from motionkit.store.writer import StoreWriter
 from tests.helpers.analytic import analytic_motion
 
 NAMES = ("field", "native", "rotations")
@@ -26,26 +23,26 @@ TOLERANCE_MM = {"field": 0.01, "native": 4.0, "rotations": 0.5}
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+def store(tmp_path_factory: pytest.TempPathFactory) -> mk.Store:
     """One body with rotations at three framerates, and one motion without."""
     path = tmp_path_factory.mktemp("vectors") / "store"
-    with StoreWriter.create(path) as writer:
+    with mk.StoreWriter.create(path) as writer:
         for index, rate in enumerate(RATES):
             motion = to_motion(analytic_motion("walk", 4.0), Fraction(rate))
             writer.add(replace(motion, sequence_id=f"m{index}", split="train"))
         bare = replace(motion, local_rotations=None, root_translation=None)
         writer.add(replace(bare, sequence_id="bare", split="train"))
-    return Store.open(path)
+    return mk.Store.open(path)
 
 
-def _opened(store: Store, name: str, *, mirrored: bool = False) -> tuple[PositionCache, WindowPoses]:
+def _opened(store: mk.Store, name: str, *, mirrored: bool = False) -> tuple[PositionCache, WindowPoses]:
     cache, frames = open_frames(training_vectors(name, store, None), store, None)  # type: ignore[arg-type]
-    pairs = SMPL22.left_right_pairs if mirrored else None
+    pairs = mk.SMPL22.left_right_pairs if mirrored else None
     return cache, WindowPoses(cut_windows(cache, max_duration_seconds=4.0, mirror_pairs=pairs), frames)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_is_encoded_comes_back_in_the_window_s_frame(store: Store, name: str) -> None:
+def test_what_is_encoded_comes_back_in_the_window_s_frame(store: mk.Store, name: str) -> None:
     cache, poses = _opened(store, name, mirrored=True)
     windows, vectors = poses.windows, poses.frames.vectors
     assert len(windows) == 2 * (3 if name == "rotations" else 4)
@@ -63,7 +60,7 @@ def test_what_is_encoded_comes_back_in_the_window_s_frame(store: Store, name: st
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_between_frames_poses_lie_between(store: Store, name: str) -> None:
+def test_between_frames_poses_lie_between(store: mk.Store, name: str) -> None:
     cache, poses = _opened(store, name)
     vectors, row = poses.frames.vectors, np.array([0])
     ticks = np.arange(0, 170)[None]
@@ -85,7 +82,7 @@ def test_between_frames_poses_lie_between(store: Store, name: str) -> None:
 class TestNative:
     def test_a_mirrored_vector_is_that_of_the_mirrored_motion(self) -> None:
         motion = to_motion(analytic_motion("walk", 4.0), Fraction(60))
-        mirrored = mirror_positions(motion.joint_positions, SMPL22.left_right_pairs)
+        mirrored = mirror_positions(motion.joint_positions, mk.SMPL22.left_right_pairs)
         vectors = native.vectors(motion.joint_positions, "smpl22", motion.fps)
         expected = native.vectors(mirrored, "smpl22", motion.fps)
         np.testing.assert_allclose(native.mirrored(vectors, "smpl22"), expected, atol=2e-4)
@@ -105,8 +102,8 @@ class TestNative:
 
 
 class TestRotations:
-    def test_a_store_without_rotations_is_reported(self, store: Store) -> None:
-        with pytest.raises(UsageError):
+    def test_a_store_without_rotations_is_reported(self, store: mk.Store) -> None:
+        with pytest.raises(mk.UsageError):
             with_rotations(store, "sequence_id = 'bare'")
 
     def test_rest_poses_that_differ_are_reported(self, tmp_path: Path) -> None:
@@ -115,15 +112,15 @@ class TestRotations:
         for elbow in (18, 19):
             offsets[elbow] = (np.linalg.norm(offsets[elbow]) * (1 if elbow == 18 else -1), 0, 0)
         other = replace(motion.skeleton, name="arms-out", offsets=offsets)
-        with StoreWriter.create(tmp_path / "store") as writer:
+        with mk.StoreWriter.create(tmp_path / "store") as writer:
             writer.add(replace(motion, sequence_id="a"))
             writer.add(replace(motion, sequence_id="b", skeleton=other))
-        with pytest.raises(UsageError, match="arms-out"):
-            training_rig(Store.open(tmp_path / "store"), None)
+        with pytest.raises(mk.UsageError, match="arms-out"):
+            training_rig(mk.Store.open(tmp_path / "store"), None)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_rank_without_a_window_in_the_batch_has_nothing_to_encode(store: Store, name: str) -> None:
+def test_a_rank_without_a_window_in_the_batch_has_nothing_to_encode(store: mk.Store, name: str) -> None:
     vectors = training_vectors(name, store, None)
     _, frames = open_frames(vectors, store, None)
     nothing = frames.gather(np.zeros((0, 8), np.int64), np.zeros(0, np.bool_))

@@ -1,22 +1,26 @@
+"""Windows of sequences, what is said of them, batches, and clips of a store as torch's DataLoader gives them."""
+
 from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from torch.utils.data import DataLoader
 
-from motionkit.core.errors import UsageError
+import motionkit as mk
 from motionkit.core.motion import mirror_positions
-from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import rest_positions
-from motionkit.data.windows import FrameValues, WindowPoses, cut_windows, rows_by_duration, shuffled_batches
+from motionkit.data.captions import actions_of_windows, captions_of_windows, mirrored_text, overlapping_captions
+from motionkit.data.windows import FrameValues, WindowPoses, Windows, cut_windows, rows_by_duration, shuffled_batches
 from motionkit.features import field
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.store.cache import PositionCache
 from tests.helpers.nerm_corpus import corpus_in_memory
 
-PAIRS = SMPL22.left_right_pairs
+PAIRS = mk.SMPL22.left_right_pairs
 
 
 def make_source(frames: list[int], rates: list[Fraction], seed: int = 0) -> PositionCache:
@@ -25,7 +29,7 @@ def make_source(frames: list[int], rates: list[Fraction], seed: int = 0) -> Posi
     sequences = []
     for count, fps in zip(frames, rates, strict=True):
         path = np.arange(count)[:, None, None] / float(fps) * np.array([0.6, 0.0, 0.8])
-        sequences.append(rest_positions(SMPL22) + path + rng.normal(0, 0.02, (count, 22, 3)) + [3.0, 1.0, -2.0])
+        sequences.append(rest_positions(mk.SMPL22) + path + rng.normal(0, 0.02, (count, 22, 3)) + [3.0, 1.0, -2.0])
     return replace(corpus_in_memory(sequences, rates), sequence_index=np.arange(len(frames), dtype=np.int32) + 10)
 
 
@@ -43,13 +47,11 @@ def source() -> PositionCache:
     longest=st.floats(0.7, 12.0),
     stride=st.floats(0.2, 12.0),
 )
-def test_windows_cover_their_sequences_and_never_leave_them(
-    frames: list[int], rate: Fraction, longest: float, stride: float
-) -> None:
+def test_windows_cover_their_sequences_and_never_leave_them(frames, rate, longest, stride):
     source = make_source(frames, [rate] * len(frames))
     kept = [index for index, count in enumerate(frames) if (count - 1) / float(rate) >= 0.5]
     if not kept:
-        with pytest.raises(UsageError):
+        with pytest.raises(mk.UsageError):
             cut_windows(source, max_duration_seconds=longest, stride_seconds=min(stride, longest))
         return
     windows = cut_windows(source, max_duration_seconds=longest, stride_seconds=min(stride, longest))
@@ -113,9 +115,7 @@ def test_a_fixed_rate_hits_native_frames_where_it_can_and_interpolates_elsewhere
 
 @pytest.mark.parametrize("contiguous", [True, False])
 @pytest.mark.parametrize("fps", [None, Fraction(20)])
-def test_draws_stay_inside_and_depend_on_the_generator_alone(
-    source: PositionCache, contiguous: bool, fps: Fraction | None
-) -> None:
+def test_draws_stay_inside_and_depend_on_the_generator_alone(source, contiguous, fps):
     windows = cut_windows(source, max_duration_seconds=10.0)
     poses = WindowPoses(windows, FrameValues(source.positions, FIELD_VECTORS))
     rows = np.tile(np.arange(len(windows)), 20)
@@ -166,3 +166,95 @@ def test_batches_are_the_same_in_every_version() -> None:
     drawn = np.concatenate([shuffled_batches(5, 3, step, 7) for step in range(4)])
     assert drawn.tolist() == [1, 4, 3, 2, 0, 3, 4, 0, 1, 2, 4, 3]
     assert shuffled_batches(3, 8, 1, 7).tolist() == [1, 2, 1, 0, 2, 1, 0, 1]
+
+
+def test_batches_hold_the_stores_frames(tmp_path):
+    frames = {30: 70, 120: 100, 60: 20}
+    with mk.StoreWriter.create(tmp_path / "store") as writer:
+        for fps, num_frames in frames.items():
+            positions = np.random.default_rng(fps).normal(size=(num_frames, 22, 3)).astype(np.float32)
+            writer.add(replace(mk.Motion.from_joints(positions, fps=Fraction(fps)), sequence_id=f"{fps}"))
+    store = mk.Store.open(tmp_path / "store")
+    assert len(mk.ClipDataset(str(store.path), num_frames=32)) == len(mk.ClipDataset(store.path, num_frames=32)) == 5
+    clips = mk.ClipDataset(store, num_frames=32, stride=16)
+    assert len(clips) == 3 + 5
+    (batch,) = DataLoader(clips, batch_size=8)
+    assert batch["joint_positions"].shape == (8, 32, 22, 3)
+    assert batch["fps"].tolist() == [30.0] * 3 + [120.0] * 5
+    motion, start = store[int(batch["sequence_index"][4])], round(float(batch["start_seconds"][4]) * 120)
+    assert (motion.sequence_id, start) == ("120", 16)
+    np.testing.assert_array_equal(batch["joint_positions"][4], motion.joint_positions[16:48])
+    with pytest.raises(mk.UsageError, match="101"):
+        mk.ClipDataset(store, num_frames=101)
+
+
+def caption(text, start=0.0, end=None):
+    return {"text": text, "start_seconds": start, "end_seconds": end, "tokens": ""}
+
+
+@pytest.fixture
+def sequences() -> pd.DataFrame:
+    return pd.DataFrame(
+        {
+            "captions": [
+                np.array([caption("walks, then turns left", 0.0, 12.0), caption("turns left", 8.0, 12.0)]),
+                np.array([], dtype=object),
+                np.array([caption("jumps"), caption("a leap")]),
+            ],
+            "action": ["turn-left", "", "jump"],
+        }
+    )
+
+
+def windows(*rows: tuple[int, int, int, int, bool]) -> Windows:
+    """(sequence, first frame, frames, fps, mirrored) each."""
+    sequence, start, frames, fps, mirrored = (np.array(column) for column in zip(*rows, strict=True))
+    count = len(sequence)
+    return Windows(
+        max_duration_seconds=10.0,
+        sequence_index=sequence.astype(np.int64),
+        start_row=np.zeros(count, dtype=np.int64),
+        start_frame=start.astype(np.int64),
+        num_frames=frames.astype(np.int64),
+        fps_numerator=fps.astype(np.int64),
+        fps_denominator=np.ones(count, dtype=np.int64),
+        mirrored=mirrored.astype(bool),
+        yaw=np.zeros(count, dtype=np.float32),
+        origin=np.zeros((count, 2), dtype=np.float32),
+    )
+
+
+def test_windows_get_their_segments_and_mirrored_words(sequences):
+    cut = windows((0, 0, 300, 60, False), (0, 480, 240, 60, True), (1, 0, 60, 30, False), (2, 0, 30, 30, True))
+    assert captions_of_windows(cut, sequences) == [
+        ("walks, then turns left",),
+        ("walks, then turns right", "turns right"),
+        (),
+        ("jumps", "a leap"),
+    ]
+    assert actions_of_windows(cut, sequences) == ["turn-left", "turn-right", "", "jump"]
+
+
+def test_captions_of_a_window():
+    spans = ((0.0, 20.0), (0.0, 4.0), (9.5, 14.0), (8.0, 12.0), (12.0, 20.0), (0.0, None), (9.0, None))
+    rows = [caption(f"{start}-{end}", start, end) for start, end in spans]
+    assert overlapping_captions(rows, 0.0, 10.0) == ("0.0-20.0", "0.0-4.0", "8.0-12.0", "0.0-None")
+    assert overlapping_captions(rows, 9.0, 15.0)[-1] == "9.0-None"
+    with pytest.raises(ValueError):
+        overlapping_captions(rows, 3.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "seen_in_a_mirror"),
+    [
+        ("a person waves the left hand", "a person waves the right hand"),
+        ("Left, then right; walk-turn-right", "Right, then left; walk-turn-left"),
+        ("walks counter-clockwise around a bright cleft", "walks clockwise around a bright cleft"),
+        ("turns counter clockwise, then anti-clockwise", "turns clockwise, then clockwise"),
+        ("Anticlockwise, then clockwise", "Clockwise, then counterclockwise"),
+        ("leftward, leftwards and to the leftmost", "rightward, rightwards and to the rightmost"),
+        ("upright, alright, counters and lefties", "upright, alright, counters and lefties"),
+    ],
+)
+def test_mirrored_text(text, seen_in_a_mirror):
+    assert mirrored_text(text) == seen_in_a_mirror

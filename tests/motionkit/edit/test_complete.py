@@ -1,5 +1,6 @@
-"""One motion completed in Python: as the command does it, for whatever stands for frames, framerates and seconds."""
+"""One motion completed in Python, in all that stands for frames and seconds; and the encoders that are found."""
 
+import os
 from fractions import Fraction
 from pathlib import Path
 
@@ -8,10 +9,13 @@ import pytest
 
 import motionkit as mk
 from motionkit.edit.complete import CompletionRequest, completed_motion, kept_frames, parse_extend, parse_keep
-from motionkit.edit.encoders import choose_encoder
+from motionkit.edit.encoders import choose_encoder, runs_with
 from motionkit.edit.motions import LoadedMotion
+from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import to_motion
+from motionkit.training.run import Loader, RunFolder
 from tests.helpers.analytic import analytic_motion
+from tests.helpers.plugin_lists import install_only
 
 
 @pytest.fixture(scope="module")
@@ -102,3 +106,28 @@ def test_what_cannot_be_had_is_reported(motion: mk.Motion, given: dict, says: st
 def test_going_on_at_constant_velocity_for_long_is_reported(motion: mk.Motion) -> None:
     with pytest.warns(UserWarning, match="2 s"):
         mk.complete(motion, extend=2, model="linear")
+
+
+def test_clips_are_completed_by_the_preferred_encoder_that_is_trained(tmp_path, monkeypatch):
+    own = Loader("Own", ("halves",), lambda run: INTERPOLATORS["linear"], preferred=True)
+    install_only(monkeypatch, ENCODERS={"own": own})
+    before = choose_encoder(None, None, tmp_path)
+    assert not before.is_trained and "halves" in before.explanation
+    folder = RunFolder(tmp_path / "run").stage("halves")
+    folder.path.mkdir(parents=True)
+    folder.finish({"loss": 1.0})
+    chosen = choose_encoder(None, None, tmp_path)
+    assert chosen.is_trained and chosen.encoder is INTERPOLATORS["linear"]
+    assert choose_encoder(None, "run", tmp_path).name == "own"
+
+
+def test_runs_are_those_whose_stage_is_complete(tmp_path: Path) -> None:
+    assert runs_with("pahires", tmp_path / "nowhere") == ()
+    for name in ("half", "older", "newer"):
+        RunFolder(tmp_path / name).stage("pahires").path.mkdir(parents=True)
+    for name in ("newer", "older"):
+        RunFolder(tmp_path / name).stage("pahires").finish({})
+    for seconds, name in ((1_000, "older"), (2_000, "newer")):
+        os.utime(RunFolder(tmp_path / name).stage("pahires").summary_path, (seconds, seconds))
+    assert [run.name for run in runs_with("pahires", tmp_path)] == ["older", "newer"]
+    assert runs_with("liif", tmp_path) == ()

@@ -11,16 +11,14 @@ import numpy as np
 import pytest
 import yaml
 
+import motionkit as mk
 from motionkit.core.motion import Caption, Motion, Provenance
-from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.core.timegrid import TimeGrid
 from motionkit.edit.export import ExportReport, Selection, export, export_kinds
 from motionkit.features import humanml3d
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample
 from motionkit.io.humanml3d import KIT
-from motionkit.store import Store, StoreWriter
 from motionkit.store.ingest import ingest
 from motionkit.store.validate import faults
 from tests.helpers.analytic import analytic_motion
@@ -43,20 +41,20 @@ def performance(index: int, fps: Fraction, seconds: float = 4.0) -> Motion:
 
 
 @pytest.fixture(scope="session")
-def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
+def store(tmp_path_factory: pytest.TempPathFactory) -> mk.Store:
     """Three performances at 30, 59.94 and 120 fps."""
     path = tmp_path_factory.mktemp("corpus") / "store"
-    with StoreWriter.create(path) as writer:
+    with mk.StoreWriter.create(path) as writer:
         for index, fps in enumerate(RATES):
             writer.add(performance(index, fps))
-    return Store.open(path)
+    return mk.Store.open(path)
 
 
 @pytest.fixture
 def export_as(tmp_path: Path) -> Callable[..., ExportReport]:
     """`export_as(store, "bvh", fps=…)` into `tmp_path/out`."""
 
-    def run(store: Store, name: str, fps: Fraction | None = None, where: str | None = None) -> ExportReport:
+    def run(store: mk.Store, name: str, fps: Fraction | None = None, where: str | None = None) -> ExportReport:
         kind = export_kinds()[name]
         return export(Selection(store, store.select(where), fps or kind.fps), tmp_path / "out", kind)
 
@@ -70,7 +68,7 @@ def ingest_again(tmp_path: Path) -> Callable[[Path], list[Motion]]:
     def run(folder: Path) -> list[Motion]:
         report = ingest([folder], tmp_path / "again", num_workers=1)
         assert not report.problems and not report.warnings
-        again = Store.open(tmp_path / "again")
+        again = mk.Store.open(tmp_path / "again")
         return list(again.read_many(range(again.num_sequences)))
 
     return run
@@ -78,13 +76,13 @@ def ingest_again(tmp_path: Path) -> Callable[[Path], list[Motion]]:
 
 def test_no_cell_is_a_formula(tmp_path, export_as, ingest_again):
     formula = "=cmd|'/c calc'!A1"
-    with StoreWriter.create(tmp_path / "hostile") as writer:
+    with mk.StoreWriter.create(tmp_path / "hostile") as writer:
         motion = Motion(
-            np.zeros((4, 22, 3), np.float32), SMPL22, TimeGrid(Fraction(30), 4), sequence_id=f"{formula}/-x"
+            np.zeros((4, 22, 3), np.float32), mk.SMPL22, mk.TimeGrid(Fraction(30), 4), sequence_id=f"{formula}/-x"
         )
         provenance = Provenance(source=formula, subset="@x", licence="+1", subject="\tx")
         writer.add(replace(motion, action=formula, style="-x", provenance=provenance))
-    folder = export_as(Store.open(tmp_path / "hostile"), "npz").folder
+    folder = export_as(mk.Store.open(tmp_path / "hostile"), "npz").folder
     [row] = csv.DictReader((folder / "motions.csv").read_text(encoding="utf-8").splitlines())
     assert [cell for cell in row.values() if cell.startswith(("=", "+", "-", "@", "\t"))] == []
     assert (folder / row["file"]).is_file() and row["action"] == f"'{formula}"
@@ -101,9 +99,9 @@ def test_it_is_a_store_of_what_was_chosen(store, folder):
     parts = ["motions/part-00000.parquet", "sequences.parquet", "skeletons.parquet"]
     assert names == ["README.md", "manifest.json", *parts]
     assert list(faults(folder)) == []
-    with StoreWriter.append(folder) as writer:
+    with mk.StoreWriter.append(folder) as writer:
         writer.add(replace(store.read(0), sequence_id="more"))
-    exported = Store.open(folder)
+    exported = mk.Store.open(folder)
     assert list(exported) == [*store, "more"]
     assert exported["lab/take 1"].captions == store["lab/take 1"].captions
     assert exported["lab/take 1"].fps == Fraction(60000, 1001)
@@ -124,12 +122,12 @@ def test_datasets_reads_the_folder_by_its_card(store, folder, tmp_path, monkeypa
 
 
 def test_the_card_of_several_licences(store, export_as, tmp_path):
-    with StoreWriter.create(tmp_path / "some") as writer:
+    with mk.StoreWriter.create(tmp_path / "some") as writer:
         for number, licence in enumerate(("MIT", "my | own", "")):
             motion = store.read(0)
             provenance = replace(motion.provenance, licence=licence, source=f"source {number}")
             writer.add(replace(motion, sequence_id=f"m{number}", provenance=provenance))
-    card = (export_as(Store.open(tmp_path / "some"), "parquet").folder / "README.md").read_text()
+    card = (export_as(mk.Store.open(tmp_path / "some"), "parquet").folder / "README.md").read_text()
     head = yaml.safe_load(card.split("---\n", 2)[1])
     assert (head["license"], head["license_name"]) == ("other", "MIT; my | own; not stated")
     assert "my \\| own" in card
@@ -187,11 +185,11 @@ def test_ingested_again(store, export_as, ingest_again, name, fps):
 
 
 def test_what_is_too_short_or_has_no_legs_is_left_out(tmp_path, export_as):
-    with StoreWriter.create(tmp_path / "store") as writer:
+    with mk.StoreWriter.create(tmp_path / "store") as writer:
         good = np.random.default_rng(0).normal(size=(60, 22, 3)).astype(np.float32)
         for name, positions in (("good", good), ("blink", good[:4]), ("point", np.zeros_like(good))):
-            writer.add(Motion(positions, SMPL22, TimeGrid(Fraction(120), len(positions)), sequence_id=name))
-    report = export_as(Store.open(tmp_path / "store"), "humanml3d")
+            writer.add(Motion(positions, mk.SMPL22, mk.TimeGrid(Fraction(120), len(positions)), sequence_id=name))
+    report = export_as(mk.Store.open(tmp_path / "store"), "humanml3d")
     assert {outcome.sequence_id: outcome.reason for outcome in report.left_out} == {
         "blink": "too-short",
         "point": "degenerate",

@@ -6,9 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import TimeGrid
+import motionkit as mk
 from motionkit.features.quality import measure
 from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
@@ -17,11 +15,11 @@ from tests.helpers.analytic import capture
 RATES = (Fraction(30), Fraction(60000, 1001), Fraction(120), Fraction(250))
 
 
-def altered(motion: Motion, positions: np.ndarray) -> Motion:
+def altered(motion: mk.Motion, positions: np.ndarray) -> mk.Motion:
     return replace(
         motion,
         joint_positions=positions.astype(np.float32),
-        timegrid=TimeGrid(motion.fps, len(positions)),
+        timegrid=mk.TimeGrid(motion.fps, len(positions)),
         local_rotations=None,
         root_translation=None,
     )
@@ -109,7 +107,7 @@ def test_figures_are_finite_whatever_the_numbers(scale, num_frames):
     """They become columns and JSON, and no warning may come out of an ingest."""
     values = scale * np.random.default_rng(0).uniform(-1, 1, (num_frames, 22, 3))
     for fps in (1, 30, 10_000):
-        motion = Motion(values.astype(np.float32), SMPL22, TimeGrid(Fraction(fps), num_frames))
+        motion = mk.Motion(values.astype(np.float32), mk.SMPL22, mk.TimeGrid(Fraction(fps), num_frames))
         figures = [figure for figure in vars(measure(motion)).values() if isinstance(figure, float)]
         assert np.isfinite(figures).all()
 

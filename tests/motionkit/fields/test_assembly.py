@@ -9,10 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+import motionkit as mk
 from motionkit.core.kinematics import forward_kinematics
-from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.assembly import AssembledField, Piece, assemble, chain, even_starts
 from motionkit.fields.interpolation import InterpolatedField, Method, interpolate
 from motionkit.fields.motion_field import MotionField, Poses
@@ -32,7 +30,7 @@ class Shifted:
     start_seconds: float = 0.0
 
     @property
-    def skeleton(self) -> Skeleton:
+    def skeleton(self) -> mk.Skeleton:
         return self.whole.skeleton
 
     def query(self, times_seconds: np.ndarray) -> Poses:
@@ -46,14 +44,14 @@ def wandering(seed: int, method: Method = "rotation-cubic", rotations: bool = Tr
 
 def swaying(seed: int, method: Method, rotations: bool) -> InterpolatedField:
     """Every joint sways by up to half a radian about an axis of its own, 40 frames at 20 fps."""
-    rng, joints, seconds = np.random.default_rng(seed), SMPL22.num_joints, np.arange(40)[:, None, None] / 20
+    rng, joints, seconds = np.random.default_rng(seed), mk.SMPL22.num_joints, np.arange(40)[:, None, None] / 20
     phases = 2 * np.pi * (rng.uniform(0.2, 1.5, (joints, 1)) * seconds + rng.uniform(size=(joints, 1)))
     turns = rng.uniform(-0.3, 0.3, (joints, 3)) * np.sin(phases)
     local = Rotation.from_rotvec(turns.reshape(-1, 3)).as_quat(scalar_first=True).reshape(40, joints, 4)
     root = 0.1 * np.sin(phases[:, 0] * np.array([1.0, 0.5, 0.7]))
-    positions = forward_kinematics(local.astype(np.float32), root.astype(np.float32), SMPL22)
+    positions = forward_kinematics(local.astype(np.float32), root.astype(np.float32), mk.SMPL22)
     poses = (local.astype(np.float32), root.astype(np.float32)) if rotations else (None, None)
-    return interpolate(Motion(positions, SMPL22, TimeGrid(Fraction(20), 40), *poses), method)
+    return interpolate(mk.Motion(positions, mk.SMPL22, mk.TimeGrid(Fraction(20), 40), *poses), method)
 
 
 def seams(field: AssembledField) -> np.ndarray:

@@ -13,8 +13,8 @@ from motionkit.fields.anchoring import Anchored
 from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField, Method, interpolate
 from motionkit.fields.motion_field import MotionEncoder, Observation, to_motion
 from motionkit.fields.resample import complete, upsample
-from tests.helpers.observed_errors import observed_errors
 from tests.helpers.turning_body import random_motion
+from tests.helpers.velocities import observed_errors
 
 METHODS: list[Method] = list(INTERPOLATORS)
 
@@ -41,9 +41,7 @@ def test_upsampling_keeps_frames_captions_and_logs(method: Method) -> None:
     st.floats(0, 0.5),
     st.floats(0, 0.5),
 )
-def test_given_frames_are_found_on_every_grid(
-    frames: int, fps_from: Fraction, fps_to: Fraction, before: float, after: float
-) -> None:
+def test_given_frames_are_found_on_every_grid(frames, fps_from, fps_to, before, after):
     motion = random_motion(3, num_frames=frames, fps=fps_from)
     done = complete(motion, INTERPOLATORS["slerp"], fps=fps_to, before_seconds=before, after_seconds=after)
     times = done.timegrid.seconds()

@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import motionkit as mk
 from motionkit.core.kinematics import forward_kinematics
-from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22
 from motionkit.fields.detail import NUM_BANDS, Detail, DetailedField, band_power, detailed, fit_detail, with_ends
 from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
@@ -20,7 +19,7 @@ FOOT = 10
 STILL_METRES, MOVING_METRES = 0.0005, 0.004
 
 
-def shaken(motion: Motion, seed: int) -> Motion:
+def shaken(motion: mk.Motion, seed: int) -> mk.Motion:
     """A capture whose joints tremble by 0.5 mm, and eight times as much while they move at 0.5 m/s or more."""
     speed = np.linalg.norm(np.gradient(motion.joint_positions, 1 / float(motion.fps), axis=0), axis=-1)
     strength = np.where(speed > 0.5, MOVING_METRES, STILL_METRES)[..., None]
@@ -35,18 +34,18 @@ def learnt() -> Detail:
 
 
 @pytest.fixture(scope="module")
-def smooth() -> Motion:
+def smooth() -> mk.Motion:
     motion = capture(NATIVE, "walk", 8.0, seed=7)
     return replace(motion, local_rotations=None, root_translation=None)
 
 
-def field_of(motion: Motion, detail: Detail, number: int = 0) -> DetailedField:
+def field_of(motion: mk.Motion, detail: Detail, number: int = 0) -> DetailedField:
     return detailed(
         interpolate(motion, "slerp" if motion.local_rotations is not None else "cubic"), detail, seed=3, number=number
     )
 
 
-def test_detail_is_as_strong_as_captures_are_in_such_moments(learnt: Detail, smooth: Motion) -> None:
+def test_detail_is_as_strong_as_captures_are_in_such_moments(learnt: Detail, smooth: mk.Motion) -> None:
     steps = field_of(smooth, learnt).displacements.compute().reshape(-1, 22, 3)
     speed = np.linalg.norm(np.gradient(smooth.joint_positions[:, FOOT], 1 / 120, axis=0), axis=-1)
     fast, still = (np.sqrt(np.square(steps[mask, FOOT]).sum(-1).mean()) for mask in (speed > 0.8, speed < 0.1))
@@ -57,7 +56,7 @@ def test_detail_is_as_strong_as_captures_are_in_such_moments(learnt: Detail, smo
 
 @settings(max_examples=8, deadline=None)
 @given(slow=st.sampled_from([24, 30, 40]), faster=st.sampled_from([2, 3]))
-def test_a_framerate_is_a_faster_one_low_passed(learnt: Detail, smooth: Motion, slow: int, faster: int) -> None:
+def test_a_framerate_is_a_faster_one_low_passed(learnt: Detail, smooth: mk.Motion, slow: int, faster: int) -> None:
     field, rates = field_of(smooth, learnt), (Fraction(slow), Fraction(slow * faster))
     few, many = (field.at_fps(fps).steps(np.arange(int(7 * fps)) / float(fps)) for fps in rates)
     filtered = resample_positions(many, rates[1], rates[0])
@@ -67,7 +66,7 @@ def test_a_framerate_is_a_faster_one_low_passed(learnt: Detail, smooth: Motion, 
 
 
 @pytest.mark.parametrize("fps", [30, 60, 100])
-def test_nothing_lies_above_half_the_framerate(learnt: Detail, smooth: Motion, fps: int) -> None:
+def test_nothing_lies_above_half_the_framerate(learnt: Detail, smooth: mk.Motion, fps: int) -> None:
     times = np.arange(1600) / 240.0
     steps = field_of(smooth, learnt).at_fps(Fraction(fps)).steps(times)[:, FOOT, 1]
     power = np.square(np.abs(np.fft.rfft(steps * np.hanning(len(steps)))))
@@ -83,7 +82,7 @@ def test_bones_keep_their_length(learnt: Detail, rotations: bool) -> None:
         motion = replace(motion, local_rotations=None, root_translation=None)
     field = field_of(motion, learnt)
     before, after = (to_motion(each, Fraction(90)) for each in (field.field, field))
-    parents = list(SMPL22.parents[1:])
+    parents = list(mk.SMPL22.parents[1:])
     lengths = [
         np.linalg.norm(each.joint_positions[:, 1:] - each.joint_positions[:, parents], axis=-1)
         for each in (before, after)
@@ -98,7 +97,7 @@ def test_bones_keep_their_length(learnt: Detail, rotations: bool) -> None:
         np.testing.assert_allclose(shown, after.joint_positions, atol=2e-5)
 
 
-def test_what_a_capture_has_already_is_not_added_again(learnt: Detail, smooth: Motion) -> None:
+def test_what_a_capture_has_already_is_not_added_again(learnt: Detail, smooth: mk.Motion) -> None:
     real = shaken(smooth, 5)
     steps = [field_of(each, learnt).displacements.compute() for each in (smooth, real)]
     assert np.square(steps[1]).mean() < 0.35 * np.square(steps[0]).mean()

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
+import motionkit as mk
 from motionkit.core import kinematics
-from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation import INTERPOLATORS, Method, Settling, interpolate
 from motionkit.fields.motion_field import MotionEncoder, MotionField, Observation, Poses, to_motion
 from motionkit.io.bvh import write_bvh
@@ -28,7 +26,7 @@ ON_ROTATIONS: list[Method] = ["slerp", "rotation-catmull-rom", "squad", "rotatio
 NTSC = Fraction(30000, 1001)
 
 
-def uneven(motion: Motion, seed: int = 0) -> Observation:
+def uneven(motion: mk.Motion, seed: int = 0) -> Observation:
     """About half the frames of a motion, the first and the last among them."""
     kept = np.random.default_rng(seed).uniform(size=motion.num_frames) < 0.5
     kept[[0, -1]] = True
@@ -109,19 +107,19 @@ def test_observations_are_checked() -> None:
     motion = random_motion(8, num_frames=3)
     for times in ([0.0, 0.0, 1.0], [0.0, 2.0, 1.0], [0.0, np.nan, 1.0], [0.0, 1.0]):
         with pytest.raises(ValueError):
-            Observation(np.array(times), Poses.of(motion), SMPL22)
+            Observation(np.array(times), Poses.of(motion), mk.SMPL22)
     for mask in (np.zeros(3, dtype=np.bool_), np.ones(4, dtype=np.bool_)):
         with pytest.raises(ValueError):
             Observation.of(motion, mask)
     unseen = motion.joint_positions.copy()
     unseen[1, 4, 2] = np.nan
     with pytest.raises(ValueError, match="joint_positions of pose 1"):
-        Observation(motion.timegrid.seconds(), Poses(unseen, motion.local_rotations), SMPL22)
+        Observation(motion.timegrid.seconds(), Poses(unseen, motion.local_rotations), mk.SMPL22)
 
 
-def polynomial_motion(degree: int, fps: int = 10) -> tuple[Motion, "np.ndarray"]:
+def polynomial_motion(degree: int, fps: int = 10) -> tuple[mk.Motion, "np.ndarray"]:
     coefficients = np.random.default_rng(degree).normal(size=(degree + 1, 22, 3))
-    motion = Motion(polynomial(coefficients, np.arange(12) / fps), SMPL22, TimeGrid(Fraction(fps), 12))
+    motion = mk.Motion(polynomial(coefficients, np.arange(12) / fps), mk.SMPL22, mk.TimeGrid(Fraction(fps), 12))
     return motion, coefficients
 
 
@@ -154,16 +152,16 @@ def test_constant_rates_of_turning_are_restored_and_continued(method: Method) ->
     kept = np.sort(np.random.default_rng(1).choice(np.arange(30), 12, replace=False)) / 10
     root = (np.outer(kept, [1.0, 0.5, -0.2]) + 0.3).astype(np.float32)
     local = spinning(kept)
-    positions = kinematics.forward_kinematics(local, root, SMPL22)
+    positions = kinematics.forward_kinematics(local, root, mk.SMPL22)
     field = INTERPOLATORS[method].encode(
-        Observation(kept, Poses(positions, local, root), SMPL22), before_seconds=0.5, after_seconds=0.5
+        Observation(kept, Poses(positions, local, root), mk.SMPL22), before_seconds=0.5, after_seconds=0.5
     )
     times = np.linspace(field.start_seconds, field.end_seconds, 60)
     poses = field.query(times)
     assert poses.local_rotations is not None
     assert turn_between(poses.local_rotations, spinning(times)).max() < 2e-5
     truth = kinematics.forward_kinematics(
-        spinning(times), (np.outer(times, [1.0, 0.5, -0.2]) + 0.3).astype(np.float32), SMPL22
+        spinning(times), (np.outer(times, [1.0, 0.5, -0.2]) + 0.3).astype(np.float32), mk.SMPL22
     )
     assert np.allclose(poses.joint_positions, truth, atol=2e-5)
 
@@ -184,7 +182,7 @@ def test_slerp_agrees_with_scipy() -> None:
         assert turn_between(poses.local_rotations, expected).max() < 1e-5
         path = [np.interp(times, observation.times_seconds, root[:, axis]) for axis in range(3)]
         assert np.allclose(poses.root_translation, np.stack(path, -1), atol=1e-6)
-        positions = kinematics.forward_kinematics(expected, poses.root_translation, SMPL22)
+        positions = kinematics.forward_kinematics(expected, poses.root_translation, mk.SMPL22)
         assert np.allclose(poses.joint_positions, positions, atol=1e-5)
 
 
@@ -221,7 +219,7 @@ def test_hold_stands_still_and_the_others_go_on() -> None:
         assert bool(np.all(moved == 0)) == (method == "hold")
         if method in ON_ROTATIONS:
             positions = field.query(later).joint_positions
-            bones = np.linalg.norm(positions[:, 1:] - positions[:, list(SMPL22.parents[1:])], axis=-1)
+            bones = np.linalg.norm(positions[:, 1:] - positions[:, list(mk.SMPL22.parents[1:])], axis=-1)
             assert np.allclose(bones, bones[0], atol=1e-6)
 
 

@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import motionkit as mk
 from motionkit.core.kinematics import forward_kinematics
-from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22
 from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.planted import Path as BodyPath
 from motionkit.fields.contact.planted import planted
@@ -21,7 +20,7 @@ FPS = Fraction(60)
 FEET = (7, 10, 8, 11)
 
 
-def slid(motion: Motion, metres_a_second: float) -> Motion:
+def slid(motion: mk.Motion, metres_a_second: float) -> mk.Motion:
     """The same body on a moving floor: everything slides along X."""
     times = motion.timegrid.seconds() - motion.timegrid.start_seconds
     step = np.zeros((motion.num_frames, 3), np.float32)
@@ -30,12 +29,12 @@ def slid(motion: Motion, metres_a_second: float) -> Motion:
     return replace(motion, joint_positions=motion.joint_positions + step[:, None], root_translation=translation)
 
 
-def field_of(motion: Motion, path: BodyPath = "free") -> MotionField:
+def field_of(motion: mk.Motion, path: BodyPath = "free") -> MotionField:
     method = "cubic" if motion.local_rotations is None else "slerp"
     return planted(interpolate(motion, method), path)
 
 
-def bare(motion: Motion) -> Motion:
+def bare(motion: mk.Motion) -> mk.Motion:
     return replace(motion, local_rotations=None, root_translation=None)
 
 
@@ -46,7 +45,7 @@ def steadiest_speed(positions: np.ndarray, still: np.ndarray, fps: Fraction) -> 
     return speed[still]
 
 
-def true_rests(motion: Motion) -> np.ndarray:
+def true_rests(motion: mk.Motion) -> np.ndarray:
     """Where one joint of a foot of the capture doesn't move between two frames, nor within 0.1 s."""
     feet = motion.joint_positions[:, FEET].reshape(motion.num_frames, 2, 2, 3)
     rests = (np.linalg.norm(np.diff(feet, axis=0), axis=-1) * float(motion.fps) < 0.01).any(axis=-1)
@@ -162,7 +161,7 @@ def test_generated_bones_keep_their_length_exactly() -> None:
     drift = {}
     for path in ("near", "free"):
         after = to_motion(field_of(motion, path), FPS).joint_positions.astype(np.float64)
-        lengths = np.linalg.norm(after[:, 1:] - after[:, list(SMPL22.parents[1:])], axis=-1)
+        lengths = np.linalg.norm(after[:, 1:] - after[:, list(mk.SMPL22.parents[1:])], axis=-1)
         drift[path] = np.ptp(lengths, axis=0).max()
     assert drift["free"] < 5e-6 < 1e-3 < drift["near"]
 

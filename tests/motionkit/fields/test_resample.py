@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import motionkit as mk
 from motionkit.core import kinematics
-from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.resample import resample, resample_positions
 from tests.helpers.turning_body import random_motion
 
@@ -52,7 +51,7 @@ def test_constants_and_ends_survive_any_pair_of_rates(frames: int, fps_from: Fra
     still = np.full((frames, 2, 3), 3.5)
     result = resample_positions(still, fps_from, fps_to)
     assert np.allclose(result, 3.5, atol=1e-12)
-    grid = TimeGrid(fps_to, len(result))
+    grid = mk.TimeGrid(fps_to, len(result))
     assert grid.span_seconds <= (frames - 1) / fps_from + 1e-6 < float(len(result) / fps_to) + 2e-6
     walk = np.cumsum(np.ones((frames, 1, 3)), axis=0)
     assert np.allclose(resample_positions(walk, fps_from, fps_to)[0], 1.0, atol=1e-9)
@@ -66,7 +65,7 @@ def test_downsampling_filters_rotations_and_positions_together() -> None:
     assert slow.fps == 60 and slow.num_frames == 120
     assert slow.local_rotations is not None and slow.root_translation is not None
     assert np.allclose(np.linalg.norm(slow.local_rotations, axis=-1), 1.0, atol=1e-6)
-    again = kinematics.forward_kinematics(slow.local_rotations, slow.root_translation, SMPL22)
+    again = kinematics.forward_kinematics(slow.local_rotations, slow.root_translation, mk.SMPL22)
     assert np.allclose(again, slow.joint_positions, atol=2e-4)
 
 

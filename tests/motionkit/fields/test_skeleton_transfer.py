@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import motionkit as mk
 from motionkit.core import kinematics
-from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation import INTERPOLATORS, Interpolator
 from motionkit.fields.motion_field import Joints, MotionField, Observation, Poses, to_motion
 from motionkit.fields.resample import complete
@@ -18,18 +16,17 @@ from motionkit.fields.rig import on_bones
 from motionkit.fields.transfer import Transferred, canonical_observation
 from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers.analytic import analytic_motion
-from tests.helpers.bones import bone_lengths
-from tests.helpers.mixamo import mixamo_name
+from tests.helpers.bones import bone_lengths, mixamo_name
 
 CUBIC, SLERP = INTERPOLATORS["rotation-cubic"], INTERPOLATORS["slerp"]
 FPS = Fraction(30)
 
 
-def mixamo() -> Skeleton:
+def mixamo() -> mk.Skeleton:
     """A rig with MotionBuilder's names, arms along x, with a finger and a reference joint of its own above the hips."""
     body = mean_shape_skeleton()
     root, finger = [0.0, 0.95, 0.0], [0.09, 0.0, 0.02]
-    return Skeleton(
+    return mk.Skeleton(
         "rig",
         ("Reference", *map(mixamo_name, body.joint_names), "LeftHandIndex1"),
         (-1, *(parent + 1 for parent in body.parents), 1 + body.index("left_wrist")),
@@ -37,7 +34,7 @@ def mixamo() -> Skeleton:
     )
 
 
-def swinging(skeleton: Skeleton, seed: int = 0, num_frames: int = 91) -> Motion:
+def swinging(skeleton: mk.Skeleton, seed: int = 0, num_frames: int = 91) -> mk.Motion:
     """Every joint swings smoothly about its own axis; the hips travel inside a reference that stays."""
     rng = np.random.default_rng(seed)
     seconds = np.arange(num_frames) / float(FPS)
@@ -54,7 +51,7 @@ def swinging(skeleton: Skeleton, seed: int = 0, num_frames: int = 91) -> Motion:
     bones[:, travels, 0] += 0.3 * np.sin(5 * seconds)
     bones[:, travels, 2] += 0.8 * seconds
     positions = kinematics.forward_kinematics(local, bones[:, 0], skeleton, bones)
-    return Motion(positions, skeleton, TimeGrid(FPS, num_frames), local, positions[:, 0])
+    return mk.Motion(positions, skeleton, mk.TimeGrid(FPS, num_frames), local, positions[:, 0])
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,7 @@ class Oracle:
     def encode(
         self, observation: Observation, *, before_seconds: float = 0.0, after_seconds: float = 0.0
     ) -> MotionField:
-        assert observation.skeleton.joint_names == SMPL22.joint_names
+        assert observation.skeleton.joint_names == mk.SMPL22.joint_names
         return CUBIC.encode(self.truth, before_seconds=before_seconds, after_seconds=after_seconds)
 
 
@@ -82,7 +79,7 @@ def gaps(num_frames: int) -> np.ndarray:
 def test_with_the_interpolator_itself_as_the_model_nothing_changes(interpolator: Interpolator, rotations: bool) -> None:
     motion = swinging(mixamo())
     if not rotations:
-        motion = Motion(motion.joint_positions, motion.skeleton, motion.timegrid)
+        motion = mk.Motion(motion.joint_positions, motion.skeleton, motion.timegrid)
     asked = {"fps": Fraction(75), "observed": gaps(motion.num_frames), "after_seconds": 0.2}
     plain = complete(motion, interpolator, **asked)
     carried = complete(motion, Transferred(interpolator, interpolator), **asked)
@@ -102,7 +99,7 @@ def test_what_is_known_of_the_22_joints_comes_over_to_the_rig() -> None:
     plain = complete(motion, CUBIC, observed=observed)
     carried = complete(motion, Transferred(Oracle(truth), CUBIC), observed=observed)
 
-    def error(made: Motion) -> float:
+    def error(made: mk.Motion) -> float:
         off = np.linalg.norm(made.joint_positions - motion.joint_positions, axis=-1)[~observed]
         return float(off[:, 1:].mean())
 
@@ -133,13 +130,13 @@ def test_bones_keep_their_length_and_the_reference_its_place() -> None:
 
 
 @pytest.fixture(scope="module")
-def walk() -> Motion:
+def walk() -> mk.Motion:
     performance = analytic_motion("walk", 2.0)
     return to_motion(performance, Fraction(30)).frames(0, 60)
 
 
 @pytest.mark.parametrize("name", ["linear", "cubic"])
-def test_bones_keep_their_length_and_joints_come_where_the_field_has_them(name: str, walk: Motion) -> None:
+def test_bones_keep_their_length_and_joints_come_where_the_field_has_them(name: str, walk: mk.Motion) -> None:
     observation = Observation.of(walk)
     field = INTERPOLATORS[name].encode(observation, before_seconds=0.1, after_seconds=0.1)
     rigid = on_bones(field, observation)

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 import motionkit as mk
-from motionkit.core.errors import UsageError
-from motionkit.core.skeleton import SMPL22
 from motionkit.generate.constraints import Constraint, followed
 from motionkit.generate.models import GenerationRequest
 from motionkit.generate.request import parse_joint, parse_pose, read_path, read_prompts
@@ -118,7 +116,7 @@ def test_a_table_that_is_no_path_is_reported(tmp_path: Path, text: str, place: s
 
 def test_a_pose_of_a_capture_at_an_instant(tmp_path: Path) -> None:
     seconds = np.arange(9) / 8
-    motion = mk.Motion(walking(seconds), SMPL22, mk.TimeGrid(Fraction(8), 9))
+    motion = mk.Motion(walking(seconds), mk.SMPL22, mk.TimeGrid(Fraction(8), 9))
     write_npz(motion, tmp_path / "clip.npz")
     pose = parse_pose(f"2.0={tmp_path / 'clip.npz'}@0.3", placed=True)
     np.testing.assert_allclose(pose.positions, walking(np.array([0.3])), atol=1e-6)
@@ -174,5 +172,5 @@ def test_a_table_of_texts_and_actions(tmp_path):
 )
 def test_faults_are_named_with_their_line(tmp_path, name, text, place):
     (tmp_path / name).write_bytes(text.encode("latin-1"))
-    with pytest.raises(UsageError, match=name + place):
+    with pytest.raises(mk.UsageError, match=name + place):
         read_prompts(tmp_path / name)

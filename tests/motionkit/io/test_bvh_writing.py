@@ -13,11 +13,9 @@ from hypothesis import strategies as st
 from pymotion.io.bvh import BVH
 from scipy.spatial.transform import Rotation
 
+import motionkit as mk
 from motionkit.core import kinematics
 from motionkit.core.kinematics import euler_to_quaternion
-from motionkit.core.motion import Motion
-from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import TimeGrid
 from motionkit.edit.complete import CompletionRequest, complete_file
 from motionkit.edit.encoders import choose_encoder
 from motionkit.edit.motions import MotionSource, OutputPaths, find_motions
@@ -25,18 +23,9 @@ from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation
 from motionkit.fields.resample import begin_completion
 from motionkit.fields.rig import on_bones
-from motionkit.io.bvh import (
-    BvhDocument,
-    KnownFrames,
-    anchored_angles,
-    read_bvh,
-    read_document,
-    rewrite_bvh,
-    write_bvh,
-)
+from motionkit.io.bvh import BvhDocument, KnownFrames, anchored_angles, read_bvh, read_document, rewrite_bvh, write_bvh
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import parse_rules
-from motionkit.store import Store
 from motionkit.store.ingest import ingest
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, TWO_JOINTS, bvh_hierarchy, bvh_text, lafan1_text
 from tests.helpers.refusal import refusal
@@ -61,21 +50,19 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     ("change_metres", "placed", "misses_metres", "fps"),
     [(0.0, 1, 1e-4, Fraction(20)), (3e-4, 1, 2e-3, Fraction(30000, 1001)), (0.02, 22, 1.5e-4, Fraction(25, 2))],
 )
-def test_bones_that_keep_their_length_need_no_position_channels(
-    tmp_path: Path, change_metres: float, placed: int, misses_metres: float, fps: Fraction
-) -> None:
+def test_bones_that_keep_their_length_need_no_position_channels(tmp_path, change_metres, placed, misses_metres, fps):
     """Whatever shape the body's own hips and shoulders have; bones that change a little are written as one skeleton."""
     rng = np.random.default_rng(3)
-    offsets = SMPL22.offsets + rng.normal(0, 0.03, SMPL22.offsets.shape).astype(np.float32)
+    offsets = mk.SMPL22.offsets + rng.normal(0, 0.03, mk.SMPL22.offsets.shape).astype(np.float32)
     turns = Rotation.random(50 * 22, rng).as_quat(scalar_first=True).reshape(50, 22, 4).astype(np.float32)
     root = rng.normal(size=(50, 3)).astype(np.float32)
-    positions = kinematics.forward_kinematics(turns, root, replace(SMPL22, offsets=offsets))
+    positions = kinematics.forward_kinematics(turns, root, replace(mk.SMPL22, offsets=offsets))
     positions = (positions + rng.uniform(-change_metres, change_metres, positions.shape)).astype(np.float32)
-    write_bvh(Motion(positions, SMPL22, TimeGrid(fps, 50)), tmp_path / "own.bvh")
+    write_bvh(mk.Motion(positions, mk.SMPL22, mk.TimeGrid(fps, 50)), tmp_path / "own.bvh")
     text = (tmp_path / "own.bvh").read_text()
     assert (text.count("CHANNELS 6"), text.count("CHANNELS 3")) == (placed, 22 - placed)
     again = read_bvh(tmp_path / "own.bvh")
-    order = [again.skeleton.index(joint) for joint in SMPL22.joint_names]
+    order = [again.skeleton.index(joint) for joint in mk.SMPL22.joint_names]
     assert again.fps == fps and (again.local_rotations is None) == (placed == 22)
     assert np.abs(again.joint_positions[:, order] - positions).max() < misses_metres
 
@@ -89,10 +76,12 @@ def test_rotations_in_gimbal_lock_come_back(tmp_path: Path) -> None:
     )
     turns = turns.astype(np.float32)
     root = np.zeros((60, 3), np.float32)
-    motion = Motion(kinematics.forward_kinematics(turns, root, SMPL22), SMPL22, TimeGrid(Fraction(60), 60), turns, root)
+    motion = mk.Motion(
+        kinematics.forward_kinematics(turns, root, mk.SMPL22), mk.SMPL22, mk.TimeGrid(Fraction(60), 60), turns, root
+    )
     write_bvh(motion, tmp_path / "out.bvh")
     again = read_bvh(tmp_path / "out.bvh", ReadOptions(up="y"))
-    order = [again.skeleton.index(joint) for joint in SMPL22.joint_names]
+    order = [again.skeleton.index(joint) for joint in mk.SMPL22.joint_names]
     np.testing.assert_allclose(again.joint_positions[:, order], motion.joint_positions, atol=1e-4)
 
 
@@ -242,7 +231,7 @@ def test_ingest_and_complete_see_one_motion_and_a_completed_one_is_read_again(tm
     (tmp_path / "in").mkdir()
     path, out = KINDS[kind](tmp_path / "in"), tmp_path / "out.bvh"
     assert not ingest([path], tmp_path / "store", options=OPTIONS, num_workers=1).problems
-    stored, loaded = Store.open(tmp_path / "store").read(0), source_of(path).load()
+    stored, loaded = mk.Store.open(tmp_path / "store").read(0), source_of(path).load()
     motion = loaded.motion
     assert loaded.valid.all() and loaded.uneven_seconds is None
     assert stored.timegrid == motion.timegrid

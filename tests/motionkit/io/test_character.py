@@ -11,8 +11,6 @@ import pytest
 
 import motionkit as mk
 from motionkit.core import kinematics
-from motionkit.core.skeleton import Skeleton
-from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.motion_field import to_motion
 from motionkit.io.bvh import write_bvh
 from motionkit.io.character import read_character
@@ -21,7 +19,7 @@ from motionkit.io.registry import ReadOptions
 from motionkit.io.retargeting import retarget, stands
 from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers.analytic import analytic_motion
-from tests.helpers.mixamo import mixamo_name
+from tests.helpers.bones import mixamo_name
 from tests.helpers.refusal import refusal
 from tests.motionkit.io.test_gltf import Played
 
@@ -36,7 +34,7 @@ def motion() -> mk.Motion:
     rotations = kinematics.rotation_vector_to_quaternion(angles).astype(np.float32)
     root = np.array([0.3, 0.9, -1.0], np.float32) + np.linspace(0, 1, 60, dtype=np.float32)[:, None]
     places = kinematics.forward_kinematics(rotations, root, skeleton)
-    return mk.Motion(places, skeleton, TimeGrid(Fraction(30), 60), rotations, root, action="dance")
+    return mk.Motion(places, skeleton, mk.TimeGrid(Fraction(30), 60), rotations, root, action="dance")
 
 
 def directions(motion: mk.Motion) -> np.ndarray:
@@ -53,7 +51,7 @@ def directions(motion: mk.Motion) -> np.ndarray:
     return np.asarray(bones / np.linalg.norm(bones, axis=-1, keepdims=True))
 
 
-def turned_at_rest(skeleton: Skeleton, joint: str, vector: tuple[float, float, float]) -> Skeleton:
+def turned_at_rest(skeleton: mk.Skeleton, joint: str, vector: tuple[float, float, float]) -> mk.Skeleton:
     """The skeleton whose rest pose has a joint and what hangs on it turned: an A-pose, another facing."""
     turn = kinematics.rotation_vector_to_quaternion(np.array(vector))
     below = {skeleton.index(joint)}
@@ -85,9 +83,7 @@ def test_onto_its_own_skeleton_nothing_changes(motion: mk.Motion) -> None:
         ("pelvis", (0.0, np.pi, 0.0)),
     ],
 )
-def test_limbs_point_where_the_source_s_do_whatever_the_rest_pose(
-    motion: mk.Motion, joint: str, vector: tuple[float, float, float]
-) -> None:
+def test_limbs_point_where_the_source_s_do_whatever_the_rest_pose(motion, joint, vector):
     rig = turned_at_rest(motion.skeleton, joint, vector)
     made = retarget(motion, rig)
     assert stands(rig)
@@ -100,7 +96,7 @@ def test_limbs_point_where_the_source_s_do_whatever_the_rest_pose(
 
 def test_a_root_on_the_floor_and_a_tail_come_along(motion: mk.Motion) -> None:
     body = motion.skeleton
-    rig = Skeleton(
+    rig = mk.Skeleton(
         "with-reference",
         ("Reference", *body.joint_names, "tail"),
         (-1, *(parent + 1 for parent in body.parents), 1),
@@ -123,7 +119,7 @@ def walk() -> mk.Motion:
 
 
 @pytest.fixture(scope="module")
-def rig() -> Skeleton:
+def rig() -> mk.Skeleton:
     """A small body with Mixamo's names."""
     body = mean_shape_skeleton().scaled(0.6)
     return replace(body, name="figure", joint_names=tuple(map(prefixed, body.joint_names)), feet=None)
@@ -141,7 +137,7 @@ def as_smpl(motion: mk.Motion) -> mk.Motion:
     )
 
 
-def t_pose(rig: Skeleton) -> mk.Motion:
+def t_pose(rig: mk.Skeleton) -> mk.Motion:
     unturned = np.zeros((2, rig.num_joints, 4), np.float32)
     unturned[..., 0] = 1.0
     root = np.tile(np.array([0, 0.6, 0], np.float32), (2, 1))
@@ -149,7 +145,7 @@ def t_pose(rig: Skeleton) -> mk.Motion:
     return mk.Motion(places, rig, mk.Motion.from_joints(places, 30, rig).timegrid, unturned, root)
 
 
-def test_a_bvh_keeps_its_hierarchy_and_moves_as_the_source(walk: mk.Motion, rig: Skeleton, tmp_path: Path) -> None:
+def test_a_bvh_keeps_its_hierarchy_and_moves_as_the_source(walk: mk.Motion, rig: mk.Skeleton, tmp_path: Path) -> None:
     write_bvh(t_pose(rig), tmp_path / "figure.bvh", unit_metres=0.001)
     options = ReadOptions(unit_metres=0.001)
     character = read_character(tmp_path / "figure.bvh", options)
@@ -169,7 +165,7 @@ def test_a_bvh_keeps_its_hierarchy_and_moves_as_the_source(walk: mk.Motion, rig:
     )
 
 
-def write_glb_rig(path: Path, rig: Skeleton) -> list[dict[str, object]]:
+def write_glb_rig(path: Path, rig: mk.Skeleton) -> list[dict[str, object]]:
     """A skinned rig as Blender writes it: centimetres below an armature that lies down, every bone along its own y."""
     rng = np.random.default_rng(0)
     turns = kinematics.rotation_vector_to_quaternion(rng.normal(0, 1, (rig.num_joints, 3)))
@@ -221,7 +217,7 @@ def world_places(path: Path) -> np.ndarray:
     return np.array([[world[node][:3, 3] for node in sorted(world)] for world in frames])
 
 
-def test_a_glb_keeps_its_nodes_and_moves_as_the_source(walk: mk.Motion, rig: Skeleton, tmp_path: Path) -> None:
+def test_a_glb_keeps_its_nodes_and_moves_as_the_source(walk: mk.Motion, rig: mk.Skeleton, tmp_path: Path) -> None:
     nodes = write_glb_rig(tmp_path / "figure.glb", rig)
     character = read_character(tmp_path / "figure.glb", ReadOptions())
     performed = character.perform(walk)
@@ -248,7 +244,7 @@ def test_a_glb_keeps_its_nodes_and_moves_as_the_source(walk: mk.Motion, rig: Ske
         lambda document: document["nodes"][2].update(scale=[0, 1, 1]),
     ],
 )
-def test_a_glb_that_is_no_rig_is_refused(rig: Skeleton, tmp_path: Path, damage: object) -> None:
+def test_a_glb_that_is_no_rig_is_refused(rig: mk.Skeleton, tmp_path: Path, damage: object) -> None:
     write_glb_rig(tmp_path / "whole.glb", rig)
     document, binary = read_glb(tmp_path / "whole.glb")
     damage(document)  # type: ignore[operator]
@@ -258,7 +254,7 @@ def test_a_glb_that_is_no_rig_is_refused(rig: Skeleton, tmp_path: Path, damage: 
         assert refusal(read_character, tmp_path / "bad.glb", ReadOptions()).reason == "gltf"
 
 
-def test_bones_that_rest_along_x_take_the_first_frame_s_pose(walk: mk.Motion, rig: Skeleton, tmp_path: Path) -> None:
+def test_bones_that_rest_along_x_take_the_first_frame_s_pose(walk: mk.Motion, rig: mk.Skeleton, tmp_path: Path) -> None:
     pose = t_pose(rig)
     lengths = np.linalg.norm(rig.offsets, axis=-1)
     along = replace(rig, offsets=np.stack((lengths, 0 * lengths, 0 * lengths), axis=-1).astype(np.float32))

@@ -56,9 +56,7 @@ def frames_of(motion: Motion) -> list[int]:
         ("59.9999885", 60, StepCut(10, 20, seen_fps=120.0), Path("SSM_synced/x/walk_poses.npz"), 20, 40),
     ],
 )
-def test_native_frames_of_published_ones(
-    stated: str, fps: int | None, cut: StepCut, path: Path, first: int, stop: int
-) -> None:
+def test_native_frames_of_published_ones(stated, fps, cut, path, first, stop):
     motion = motion_of(1000, stated, None if fps is None else Fraction(fps))
     cropped = crop(motion, cut, path)
     assert frames_of(cropped) == list(range(first, stop))
@@ -74,9 +72,7 @@ def test_native_frames_of_published_ones(
     length=st.integers(1, 30),
     trim=st.sampled_from([0, 3]),
 )
-def test_both_kinds_agree_with_slicing_as_published(
-    num_frames: int, rate: str, start: int, length: int, trim: int
-) -> None:
+def test_both_kinds_agree_with_slicing_as_published(num_frames, rate, start, length, trim):
     motion = motion_of(num_frames, rate)
     step = int(float(rate) / 20)
     published = list(range(num_frames))[::step][trim:][start : start + length]

@@ -6,10 +6,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+import motionkit as mk
 from motionkit.core.kinematics import forward_kinematics
-from motionkit.core.motion import Caption, Motion
-from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
-from motionkit.core.timegrid import TimeGrid
 from motionkit.io.gltf import write_gltf
 
 pygltflib = pytest.importorskip("pygltflib")
@@ -85,18 +83,18 @@ class Played:
         return np.concatenate(places), np.concatenate(bound)
 
 
-def turning(skeleton=SMPL22, num_frames=12, fps=Fraction(60000, 1001)):
+def turning(skeleton=mk.SMPL22, num_frames=12, fps=Fraction(60000, 1001)):
     rng = np.random.default_rng(0)
     rotations = rng.normal(size=(num_frames, skeleton.num_joints, 4)).astype(np.float32)
     rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
     root = rng.normal(size=(num_frames, 3)).astype(np.float32)
-    return Motion(
+    return mk.Motion(
         forward_kinematics(rotations, root, skeleton),
         skeleton,
-        TimeGrid(fps, num_frames, 3.5),
+        mk.TimeGrid(fps, num_frames, 3.5),
         local_rotations=rotations,
         root_translation=root,
-        captions=(Caption("turns 走", 0.1),),
+        captions=(mk.Caption("turns 走", 0.1),),
         sequence_id="a/b",
     )
 
@@ -112,12 +110,12 @@ def shaken(motion):
 
 MOTIONS = {
     "rotations": turning(),
-    "kit": turning(KIT21),
+    "kit": turning(mk.KIT21),
     "positions": without_rotations(turning()),
     "positions whose bones change": shaken(turning()),
-    "one joint": turning(Skeleton("ball", ("centre",), (-1,), np.zeros((1, 3), np.float32))),
+    "one joint": turning(mk.Skeleton("ball", ("centre",), (-1,), np.zeros((1, 3), np.float32))),
     "one frame": turning(num_frames=1),
-    "tips": turning(replace(SMPL22, name="tips", end_sites=((15, (0.0, 0.1, 0.0)), (20, (0.0, -0.1, 0.0))))),
+    "tips": turning(replace(mk.SMPL22, name="tips", end_sites=((15, (0.0, 0.1, 0.0)), (20, (0.0, -0.1, 0.0))))),
 }
 
 

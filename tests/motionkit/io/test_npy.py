@@ -54,9 +54,6 @@ def test_arrays_that_are_refused(content: bytes, reason: str, frame: int | None)
     assert (error.path, error.reason, error.frame) == (PATH, reason, frame)
 
 
-# Archives.
-
-
 def archive_of(members: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", method) as zipped:
@@ -101,8 +98,6 @@ def test_archives_that_are_refused_before_much_is_unpacked(data: bytes, key: str
     finally:
         tracemalloc.stop()
 
-
-# Pickles.
 
 RESULTS = {
     "motion": POSES,
@@ -159,9 +154,7 @@ PAYLOADS = [
 
 @pytest.mark.parametrize("protocol", [0, pickle.HIGHEST_PROTOCOL])
 @pytest.mark.parametrize("payload", PAYLOADS, ids=range(len(PAYLOADS)))
-def test_whatever_else_a_pickle_names_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, payload: object, protocol: int
-) -> None:
+def test_whatever_else_a_pickle_names_is_refused(tmp_path, monkeypatch, payload, protocol):
     monkeypatch.chdir(tmp_path)
     content = with_header("()", pickle.dumps({"motion": [payload]}, protocol), "|O")
     assert refusal(npy.read_object, PATH, content).reason == "pickle"

@@ -1,4 +1,4 @@
-"""Pose vectors of four conventions in files of their own, against encoders that were written apart from the readers."""
+"""HumanML3D's folders, and pose vectors of four conventions in files of their own, against encoders written apart."""
 
 from fractions import Fraction
 from pathlib import Path
@@ -8,11 +8,107 @@ import pytest
 
 import motionkit as mk
 from motionkit.core import kinematics
+from motionkit.core.motion import Caption
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import humanml3d
-from motionkit.io.humanml3d import KIT
+from motionkit.io.humanml3d import KIT, Entry, recover_positions
+from motionkit.io.registry import ReadOptions
+from motionkit.io.scan import read, scan
+from motionkit.io.texts import read_texts
+from tests.helpers.every_format import write_pose_folder
 from tests.helpers.refusal import refusal
 from tests.helpers.vector_samples import interhuman_rows, motionstreamer_rows, walk
+
+
+def test_recovery_reproduces_the_published_joints(golden_humanml3d: Path) -> None:
+    vectors = np.load(next((golden_humanml3d / "new_joint_vecs").glob("*.npy")))
+    joints = np.load(next((golden_humanml3d / "new_joints").glob("*.npy")))
+    assert np.abs(recover_positions(vectors, 22) - joints).max() < 1e-6
+
+
+def test_the_published_folder_is_recognised(golden_humanml3d: Path) -> None:
+    (item,) = scan([golden_humanml3d]).items
+    motion = read(item)
+    assert (item.format, motion.fps, motion.skeleton.name) == ("humanml3d", 20, "smpl22")
+    assert 1.3 < np.median(motion.joint_positions[:, 15, 1]) < 1.8
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    captions = (
+        Caption("a person walks."),
+        Caption("they stop", 1.25, 2.5),
+        Caption("then # wait", 0.5, None, "then/ADV"),
+    )
+    entries = [
+        Entry(f"{index:06d}", rng.normal(size=(60, 22, 3)).astype(np.float32), _vectors(rng), captions, split)
+        for index, split in enumerate(("train", "train", "val", "test"))
+    ]
+    assert write_pose_folder(tmp_path / "out", [*entries, Entry("M000000", entries[0].joint_positions)]) == 5
+    result = scan([tmp_path / "out"])
+    assert [item.split for item in result.items] == ["train", "train", "val", "test", ""]
+    assert not result.problems and not result.warnings
+    first = read(result.items[0])
+    assert np.array_equal(first.joint_positions, entries[0].joint_positions)
+    assert [(c.text, c.start_seconds, c.end_seconds) for c in first.captions] == [
+        ("a person walks.", 0.0, None),
+        ("they stop", 1.25, 2.5),
+        ("then wait", 0.5, 3.0),
+    ]
+    assert first.captions[0].tokens == "a/X person/X walks/X"
+    mean, std = np.load(tmp_path / "out" / "Mean.npy"), np.load(tmp_path / "out" / "Std.npy")
+    training = np.concatenate([entry.vectors for entry in entries[:2] if entry.vectors is not None]).astype(np.float64)
+    assert np.allclose(mean, training.mean(0), atol=1e-6)
+    assert np.allclose(std[4:67], training.std(0)[4:67].mean(), atol=1e-6)
+
+
+def _vectors(rng: np.random.Generator) -> np.ndarray:
+    return rng.normal(size=(59, 263)).astype(np.float32)
+
+
+def test_vectors_alone_are_enough(tmp_path: Path, golden_humanml3d: Path) -> None:
+    source = next((golden_humanml3d / "new_joint_vecs").glob("*.npy"))
+    (tmp_path / "new_joint_vecs").mkdir()
+    (tmp_path / "new_joint_vecs" / source.name).write_bytes(source.read_bytes())
+    motion = read(scan([tmp_path]).items[0])
+    assert motion.joint_positions.shape[1:] == (22, 3)
+
+
+def test_kit_is_distinguished_and_becomes_metres(tmp_path: Path) -> None:
+    body = np.full((25, 21, 3), 560.0, np.float32)
+    entry = Entry("00001", body, captions=(Caption("a person walks"),), split="test")
+    write_pose_folder(tmp_path / "kit", [entry], KIT)
+    (item,) = scan([tmp_path / "kit"]).items
+    motion = read(item)
+    assert (item.format, motion.fps, motion.skeleton.name) == ("kit", Fraction(25, 2), "kit21")
+    assert motion.joint_positions[0, 0, 1] == pytest.approx(0.952)
+    assert read(item, ReadOptions(unit_metres=0.001)).joint_positions[0, 0, 1] == pytest.approx(0.56)
+
+
+def test_captions_and_motions_that_miss_each_other(tmp_path: Path) -> None:
+    write_pose_folder(tmp_path / "h", [Entry("000001", np.zeros((5, 22, 3), np.float32))])
+    (tmp_path / "h" / "texts" / "000009.txt").write_text("a ghost#a/DET ghost/NOUN#0.0#0.0\n")
+    (tmp_path / "h" / "val.txt").write_text("000001\n000007\n")
+    result = scan([tmp_path / "h"])
+    assert [problem.reason for problem in result.problems] == ["caption-without-motion"]
+    assert [warning.reason for warning in result.warnings] == ["split-without-motion"]
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [("walk#walk/VERB#nan#nan", (0.0, None)), ("walk#walk/VERB#6.0#2.5", (2.5, 6.0)), ("walk", (0.0, None))],
+)
+def test_segments(tmp_path: Path, line: str, expected: tuple[float, float | None]) -> None:
+    (tmp_path / "a.txt").write_text(line + "\n\n", newline="")
+    (caption,) = read_texts(tmp_path / "a.txt")
+    assert (caption.text, caption.start_seconds, caption.end_seconds) == ("walk", *expected)
+
+
+@pytest.mark.parametrize("line", ["a#b#c", "a#b#one#two"])
+def test_a_bad_text_line_is_named(tmp_path: Path, line: str) -> None:
+    (tmp_path / "a.txt").write_text(f"fine#fine/ADJ#0.0#0.0\n{line}\n")
+    error = refusal(read_texts, tmp_path / "a.txt")
+    assert (error.reason, error.line) == ("text", 2)
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +183,7 @@ def test_motionstreamer(tmp_path: Path, motion: mk.Motion) -> None:
         (263, lambda rows: rows.astype("U8"), "not-a-number"),
     ],
 )
-def test_what_is_wrong_is_reported(tmp_path: Path, motion: mk.Motion, width: int, change, reason: str) -> None:
+def test_what_is_wrong_with_vectors_is_reported(tmp_path, motion, width, change, reason):
     rows = {
         263: lambda: humanml3d.vectors(motion.joint_positions, "smpl22"),
         262: lambda: interhuman_rows(motion),

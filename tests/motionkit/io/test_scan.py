@@ -1,17 +1,22 @@
-"""Finding the sequences of files and folders: what is read, what stands beside it, what is left out and why."""
+"""The sequences of files and folders: what is found, read, left out and why; and `read`, `read_all`, `write`."""
 
 import os
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import motionkit as mk
 from motionkit.core.errors import UsageError
-from motionkit.io.registry import ReadOptions
+from motionkit.fields.motion_field import to_motion
+from motionkit.io.registry import ReadOptions, writers
 from motionkit.io.scan import read, scan
 from tests.helpers.amass_samples import smplh_fields, write_amass
-from tests.helpers.every_format import SOURCES, bodies
+from tests.helpers.analytic import analytic_motion
+from tests.helpers.every_format import bodies
 from tests.helpers.format_samples import bvh_text, write_asfamc
+from tests.helpers.refusal import refusal
 
 
 @pytest.fixture
@@ -66,9 +71,6 @@ def test_licences_are_found(source: Path) -> None:
     }
 
 
-# Links
-
-
 def test_loops_end_and_nothing_is_found_twice(tmp_path: Path) -> None:
     source, outside = tmp_path / "takes", tmp_path / "outside"
     for folder in (source / "b", outside / "one", outside / "two"):
@@ -100,16 +102,6 @@ def test_links_that_lead_nowhere_are_reported_and_nothing_else_is_lost(source: P
     assert {problem.reason for problem in found.problems} == {"unreadable"}
 
 
-# Files that are not read
-
-
-@pytest.mark.parametrize("name", SOURCES)
-def test_nothing_is_ignored_of_a_source_as_its_format_has_it(tmp_path: Path, name: str) -> None:
-    SOURCES[name](tmp_path)
-    (tmp_path / "LICENSE.txt").write_text("MIT")
-    assert scan([tmp_path]).ignored == ()
-
-
 def test_files_that_nothing_is_done_with_are_ignored(source: Path) -> None:
     (source / "07" / "video.mpg").write_bytes(b"")
     (source / "notes.csv").write_text("file,caption\nwalk.bvh,a person walks\ngone.bvh,nobody\n")
@@ -122,3 +114,90 @@ def test_files_that_nothing_is_done_with_are_ignored(source: Path) -> None:
     ignored = [path.relative_to(source.resolve()).as_posix() for path in scan([source, source]).ignored]
     assert ignored == ["notes.txt", "prices.csv", "unknown.npy", "unknown.npz", "07/video.mpg"]
     assert scan([source / "walk.bvh"]).ignored == ()
+
+
+@pytest.fixture
+def takes(tmp_path: Path) -> Path:
+    """A folder of three BVH files, one of them in a folder of its own, with a table of captions."""
+    folder = tmp_path / "takes"
+    for name, frames in (("alpha", 4), ("beta", 5), ("more/gamma", 6)):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / f"{name}.bvh").write_text(bvh_text(frames))
+    (folder / "clips.csv").write_text("file,caption,action\nalpha.bvh,a person walks,walk\n")
+    return folder
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_a_file_with_what_stands_beside_it(takes: Path, kind: type) -> None:
+    motion = mk.read(kind(takes / "alpha.bvh"))
+    assert motion.num_frames == 4 and motion.sequence_id == "takes/alpha"
+    assert motion.captions == (mk.Caption("a person walks"),) and motion.action == "walk"
+    assert mk.read(takes / "alpha.bvh", fps="59.94").fps == Fraction(60000, 1001)
+
+
+def test_one_of_several_by_its_id_or_the_end_of_it(takes: Path) -> None:
+    assert mk.read(takes, sequence="takes/beta").num_frames == 5
+    assert mk.read(str(takes), sequence="gamma").num_frames == 6
+    assert mk.read(takes / "more").num_frames == 6
+    with pytest.raises(mk.UsageError, match="takes/alpha"):
+        mk.read(takes)
+    with pytest.raises(mk.UsageError, match="'amma'"):
+        mk.read(takes, sequence="amma")
+
+
+def test_all_of_a_folder_one_at_a_time(takes: Path) -> None:
+    assert [motion.num_frames for motion in mk.read_all(str(takes))] == [4, 5, 6]
+    (takes / "more" / "gamma.bvh").write_text("HIERARCHY\n")
+    reading = mk.read_all(takes)
+    assert next(reading).num_frames == 4  # the bad file's turn has not come
+    with pytest.raises(mk.FormatError, match=r"gamma\.bvh"):
+        list(reading)
+    with pytest.warns(UserWarning, match=r"gamma\.bvh"):
+        assert [motion.num_frames for motion in mk.read_all(takes, on_error="skip")] == [4, 5]
+
+
+def test_what_leads_nowhere_or_holds_no_motion(takes: Path, tmp_path: Path) -> None:
+    with mk.StoreWriter.create(tmp_path / "store") as writer:
+        writer.add(mk.read(takes / "alpha.bvh"))
+    for reader, name in ((mk.read, "walk.bvh"), (mk.read_all, "nothing"), (mk.read, "store")):
+        with pytest.raises(mk.UsageError, match=name):
+            reader(tmp_path / name)
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "walk.xyz").write_bytes(b"3 atoms")
+    assert refusal(mk.read, tmp_path / "empty", sequence="walk").reason == "empty-folder"
+    assert refusal(mk.read, tmp_path / "walk.xyz").reason == "unknown-format"
+
+
+@pytest.mark.parametrize("unit_metres", [100, 1.0, 1e-4])
+def test_a_unit_that_makes_giants_or_dwarfs_is_refused(tmp_path: Path, unit_metres: float) -> None:
+    (tmp_path / "walk.bvh").write_text(bvh_text())
+    assert mk.read(tmp_path / "walk.bvh", unit_metres=0.02).num_frames == 4  # a giant, on purpose
+    assert refusal(mk.read, tmp_path / "walk.bvh", unit_metres=unit_metres).reason == "unit"
+    for wrong in ({"fps": "fast"}, {"unit_metres": -1.0}):
+        with pytest.raises(ValueError):
+            mk.read(tmp_path / "walk.bvh", **wrong)
+
+
+@pytest.fixture(scope="module")
+def motion() -> mk.Motion:
+    """Half a second of a walk at 30000/1001 fps, with rotations."""
+    return to_motion(analytic_motion("walk", 2.0), Fraction(30000, 1001))
+
+
+@pytest.mark.parametrize("suffix", [each.suffixes[0] for each in writers().values() if each.read is not None])
+def test_what_is_written_is_read_back(motion: mk.Motion, tmp_path: Path, suffix: str) -> None:
+    path = str(tmp_path / "new" / f"walk{suffix}")
+    mk.write(motion, path)
+    again = mk.read(path, unit_metres=0.01 if suffix == ".bvh" else None)
+    assert again.fps == motion.fps and again.num_frames == motion.num_frames
+    order = [motion.skeleton.index(name) for name in again.skeleton.joint_names]
+    np.testing.assert_allclose(again.joint_positions, motion.joint_positions[:, order], atol=2e-4)
+    extra = ["motions.json"] if suffix == ".npy" else []
+    assert sorted(each.name for each in Path(path).parent.iterdir()) == [*extra, f"walk{suffix}"]
+
+
+@pytest.mark.parametrize("name", ["walk.fbx", "walk", "walk.bvh.gz"])
+def test_another_suffix_is_refused_with_those_there_are(motion: mk.Motion, tmp_path: Path, name: str) -> None:
+    with pytest.raises(mk.UsageError, match=r"\.bvh"):
+        mk.write(motion, tmp_path / name)
+    assert not list(tmp_path.iterdir())

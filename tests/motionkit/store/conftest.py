@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import motionkit as mk
 from motionkit.core.motion import Caption, Motion, Provenance
-from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.timegrid import TimeGrid
-from motionkit.store import StoreWriter
 
 MakeMotion = Callable[..., Motion]
 
@@ -24,7 +22,7 @@ def make_motion() -> MakeMotion:
         num_frames: int = 40,
         *,
         fps: Fraction = Fraction(30),
-        skeleton: Skeleton = SMPL22,
+        skeleton: mk.Skeleton = mk.SMPL22,
         rotations: bool = False,
         split: str = "train",
     ) -> Motion:
@@ -37,7 +35,7 @@ def make_motion() -> MakeMotion:
         return Motion(
             joint_positions=numbers(num_frames, joints, 3),
             skeleton=skeleton,
-            timegrid=TimeGrid(fps, num_frames, start_seconds=0.25),
+            timegrid=mk.TimeGrid(fps, num_frames, start_seconds=0.25),
             local_rotations=numbers(num_frames, joints, 4) if rotations else None,
             root_translation=numbers(num_frames, 3) if rotations else None,
             captions=(Caption("a person waves"), Caption("ends", 0.3, 0.5, "ends/VERB")),
@@ -64,7 +62,7 @@ def make_motion() -> MakeMotion:
 def small_store(tmp_path: Path, make_motion: MakeMotion) -> Path:
     """A store of six motions: three framerates, some with rotations, one longer than all others."""
     rates = (Fraction(30), Fraction(120), Fraction(30000, 1001))
-    with StoreWriter.create(tmp_path / "store") as writer:
+    with mk.StoreWriter.create(tmp_path / "store") as writer:
         for i in range(6):
             writer.add(
                 make_motion(

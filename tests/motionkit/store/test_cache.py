@@ -11,22 +11,21 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import motionkit as mk
 from motionkit.core.errors import DamagedFileError, UsageError
 from motionkit.core.progress import Progress
-from motionkit.core.skeleton import KIT21, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.store import Store, StoreWriter
 from motionkit.store.cache import PositionCache, open_cache
 from motionkit.store.life import compact
 from tests.helpers.killing import killed_before
 
-CHAIN = Skeleton("chain", ("a", "b", "c"), (-1, 0, 1), np.eye(3, dtype=np.float32))
+CHAIN = mk.Skeleton("chain", ("a", "b", "c"), (-1, 0, 1), np.eye(3, dtype=np.float32))
 
 
 @pytest.fixture
 def mixed_store(tmp_path: Path, make_motion) -> Path:
     """Motions on three skeletons, one of which has no body."""
-    with StoreWriter.create(tmp_path / "mixed") as writer:
+    with mk.StoreWriter.create(tmp_path / "mixed") as writer:
         writer.add(make_motion("smpl", 50))
         writer.add(make_motion("chain", 60, skeleton=CHAIN))
         writer.add(make_motion("long", 700, fps=Fraction(30000, 1001), split="test"))
@@ -34,7 +33,7 @@ def mixed_store(tmp_path: Path, make_motion) -> Path:
 
 
 def change(store: Path, make_motion) -> None:
-    with StoreWriter.append(store) as writer:
+    with mk.StoreWriter.append(store) as writer:
         writer.add(make_motion("new", 33))
 
 
@@ -52,7 +51,7 @@ def sums(built: PositionCache) -> np.ndarray:
 
 def test_the_cache_holds_the_frames_of_the_store(small_store):
     reports: list[Progress] = []
-    store = Store.open(small_store, on_progress=reports.append)
+    store = mk.Store.open(small_store, on_progress=reports.append)
     built = open_cache(store)
     assert [report.done for report in reports] == [*range(7), 6]
     assert (built.positions.dtype, built.num_joints, built.skipped) == (np.float32, 22, ())
@@ -69,7 +68,7 @@ def test_the_cache_holds_the_frames_of_the_store(small_store):
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_clips_are_the_frames_they_claim_to_be(small_store, data):
-    built = open_cache(Store.open(small_store))
+    built = open_cache(mk.Store.open(small_store))
     num_frames = data.draw(st.integers(1, 40))
     sequence = np.array(data.draw(st.lists(st.integers(0, 5), min_size=0, max_size=8)), np.int64)
     start = np.array([data.draw(st.integers(0, int(built.num_frames[n]) - num_frames)) for n in sequence], np.int64)
@@ -83,7 +82,7 @@ def test_clips_are_the_frames_they_claim_to_be(small_store, data):
 
 
 def test_a_filter_and_sequences_that_do_not_fit(mixed_store):
-    store = Store.open(mixed_store)
+    store = mk.Store.open(mixed_store)
     everything = open_cache(store)
     assert list(everything.sequence_index) == [0, 2]
     assert [(each.sequence_index, each.sequence_id) for each in everything.skipped] == [(1, "chain")]
@@ -91,7 +90,7 @@ def test_a_filter_and_sequences_that_do_not_fit(mixed_store):
     assert list(tests.sequence_index) == [2]
     assert tests.path != everything.path
     np.testing.assert_array_equal(tests.positions, store.read("long").joint_positions)
-    assert open_cache(store, layout="kit21", where="split = 'test'").num_joints == KIT21.num_joints
+    assert open_cache(store, layout="kit21", where="split = 'test'").num_joints == mk.KIT21.num_joints
     native = open_cache(store, layout="native", where="num_joints = 3")
     np.testing.assert_array_equal(native.positions, store.read("chain").joint_positions)
 
@@ -107,15 +106,15 @@ def test_a_filter_and_sequences_that_do_not_fit(mixed_store):
 )
 def test_invalid_requests(mixed_store, options, says):
     with pytest.raises(UsageError, match=says):
-        open_cache(Store.open(mixed_store), **options)
+        open_cache(mk.Store.open(mixed_store), **options)
 
 
 def test_a_cache_follows_the_store(small_store, make_motion):
-    first = open_cache(Store.open(small_store))
+    first = open_cache(mk.Store.open(small_store))
     sums(first)
     (small_store / "cache" / "mine").mkdir()
     change(small_store, make_motion)
-    second = open_cache(Store.open(small_store))
+    second = open_cache(mk.Store.open(small_store))
     assert second.num_sequences == 7
     assert not first.path.exists(), "the cache of an earlier state is removed"
     assert first.positions[-1].shape == (22, 3), "and stays valid where it is mapped"
@@ -125,19 +124,19 @@ def test_a_cache_follows_the_store(small_store, make_motion):
 
 
 def test_a_cache_travels_to_another_process(small_store, make_motion):
-    built = open_cache(Store.open(small_store))
+    built = open_cache(mk.Store.open(small_store))
     pickled = pickle.dumps(built)
     assert len(pickled) < 1000, "the map is opened again, not copied"
     again = pickle.loads(pickled)  # noqa: S301 - our own bytes, as a data loader's worker gets them
     np.testing.assert_array_equal(again.positions, built.positions)
     change(small_store, make_motion)
-    open_cache(Store.open(small_store))
+    open_cache(mk.Store.open(small_store))
     with pytest.raises(DamagedFileError, match=r"\.npy|cache"):
         pickle.loads(pickled)  # noqa: S301
 
 
 def test_a_killed_builder_leaves_nothing_that_is_used(small_store):
-    store = Store.open(small_store)
+    store = mk.Store.open(small_store)
     for step in itertools.count():
         if not killed_before(step, small_store, lambda: sums(open_cache(store))):
             break
@@ -153,7 +152,7 @@ def test_a_killed_builder_leaves_nothing_that_is_used(small_store):
 @pytest.mark.parametrize("name", ["positions.npy", "cache.json", "sums.npy"])
 @pytest.mark.parametrize("damage", ["cut", "remove"])
 def test_an_incomplete_cache_is_built_again(small_store, name, damage, recwarn):
-    store = Store.open(small_store)
+    store = mk.Store.open(small_store)
     built = open_cache(store)
     positions, derived = built.positions.copy(), sums(built)
     path = built.path / name
@@ -169,6 +168,6 @@ def test_an_incomplete_cache_is_built_again(small_store, name, damage, recwarn):
 
 def test_caches_in_another_folder(small_store, tmp_path, monkeypatch):
     monkeypatch.setenv("MOTIONKIT_CACHE", str(tmp_path / "scratch"))
-    store = Store.open(small_store)
+    store = mk.Store.open(small_store)
     assert open_cache(store).path.parent == tmp_path / "scratch" / store.fingerprint
     assert not (small_store / "cache").exists()

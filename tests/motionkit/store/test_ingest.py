@@ -103,9 +103,7 @@ def test_a_worker_that_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_problem_under_stop_leaves_no_part_of_other_chunks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: int
-) -> None:
+def test_a_problem_under_stop_leaves_no_part_of_other_chunks(tmp_path, monkeypatch, workers):
     monkeypatch.setattr(module, "CHUNK_BYTES", 1)
     folder = folder_of(tmp_path, [20, 30, 40, 50, 60])
     (folder / "3.bvh").write_text("HIERARCHY\n")

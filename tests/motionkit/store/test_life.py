@@ -8,10 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import motionkit as mk
 from motionkit.core.errors import StoreError, UsageError
-from motionkit.core.motion import Caption
-from motionkit.core.skeleton import KIT21
-from motionkit.store import Store, StoreWriter
 from motionkit.store.life import DEFAULT_SHARES, assign_groups, compact, merge, remove, split
 from motionkit.store.validate import faults
 
@@ -23,7 +21,7 @@ def motions(make_motion, count=40):
             600 if i % 7 == 3 else 30 + i,
             fps=Fraction(120 if i % 2 else 30),
             rotations=i % 3 == 0,
-            skeleton=KIT21 if i % 5 == 4 else make_motion("any").skeleton,
+            skeleton=mk.KIT21 if i % 5 == 4 else make_motion("any").skeleton,
             split="test" if i % 4 == 0 else "train",
         )
         for i in range(count)
@@ -33,7 +31,7 @@ def motions(make_motion, count=40):
 def write(path, motions, *, part_bytes=2**18, pieces=1):
     """A store of the motions, appended in so many pieces."""
     for piece in np.array_split(np.arange(len(motions)), pieces):
-        writer = StoreWriter.append(path, part_bytes=part_bytes) if path.exists() else StoreWriter.create(path)
+        writer = mk.StoreWriter.append(path, part_bytes=part_bytes) if path.exists() else mk.StoreWriter.create(path)
         with writer:
             for i in piece:
                 writer.add(motions[i])
@@ -43,7 +41,7 @@ def write(path, motions, *, part_bytes=2**18, pieces=1):
 def assert_holds(path, motions, indices=None):
     """The store is intact and holds these motions, under these indices."""
     assert list(faults(path)) == []
-    store = Store.open(path)
+    store = mk.Store.open(path)
     assert store.select().tolist() == (list(range(len(motions))) if indices is None else indices)
     for found, expected in zip(store.read_many(store.select()), motions, strict=True):
         assert found.sequence_id == expected.sequence_id
@@ -58,11 +56,11 @@ def assert_holds(path, motions, indices=None):
 def test_removed_sequences_are_gone_and_the_others_keep_their_numbers(tmp_path, make_motion):
     made = motions(make_motion)
     path = write(tmp_path / "store", made, pieces=4)
-    before = Store.open(path)
+    before = mk.Store.open(path)
     assert set(remove(path, ["take-5"], where="split = 'test'")) == {"take-5", *(f"take-{i}" for i in range(0, 40, 4))}
     kept = [i for i in range(40) if i % 4 and i != 5]
     assert_holds(path, [made[i] for i in kept], kept)
-    store = Store.open(path)
+    store = mk.Store.open(path)
     assert store.fingerprint != before.fingerprint
     assert store.read("take-7").sequence_id == store.read(7).sequence_id == "take-7"
     assert store.sequences.loc[7, "sequence_id"] == "take-7"
@@ -76,24 +74,24 @@ def test_removed_sequences_are_gone_and_the_others_keep_their_numbers(tmp_path, 
 def test_a_number_is_not_given_twice(tmp_path, make_motion):
     """Neither a sequence's nor a part's, also where the last ones were removed: old readers must not see new frames."""
     path = write(tmp_path / "store", motions(make_motion, 20), pieces=2)
-    parts = Store.open(path).manifest.parts
+    parts = mk.Store.open(path).manifest.parts
     remove(path, [f"take-{i}" for i in range(10, 20)])
-    assert Store.open(path).manifest.parts == parts[:1]
-    with StoreWriter.append(path) as writer:
+    assert mk.Store.open(path).manifest.parts == parts[:1]
+    with mk.StoreWriter.append(path) as writer:
         assert writer.add(make_motion("again")) == 20
-    store = Store.open(path)
+    store = mk.Store.open(path)
     assert store.manifest.parts == (parts[0], "motions/part-00002.parquet")
     assert store.read(20).sequence_id == "again"
 
 
 def test_a_removal_of_nothing_changes_nothing(small_store):
-    before = Store.open(small_store).fingerprint
+    before = mk.Store.open(small_store).fingerprint
     assert remove(small_store, where="fps = 1") == ()
     with pytest.raises(StoreError, match="'nobody'"):
         remove(small_store, ["take-0", "nobody"])
     with pytest.raises(UsageError, match="nonsense = 1"):
         remove(small_store, where="nonsense = 1")
-    assert Store.open(small_store).fingerprint == before
+    assert mk.Store.open(small_store).fingerprint == before
 
 
 def test_a_compacted_store_is_that_of_one_ingest(tmp_path, make_motion):
@@ -104,10 +102,10 @@ def test_a_compacted_store_is_that_of_one_ingest(tmp_path, make_motion):
     kept = [motion for motion in made if motion.split != "test"]
     assert compact(path, part_bytes=2**18)
     assert_holds(path, kept)
-    with StoreWriter.create(tmp_path / "fresh", part_bytes=2**18) as writer:
+    with mk.StoreWriter.create(tmp_path / "fresh", part_bytes=2**18) as writer:
         for motion in kept:
             writer.add(motion)
-    store, fresh = Store.open(path), Store.open(tmp_path / "fresh")
+    store, fresh = mk.Store.open(path), mk.Store.open(tmp_path / "fresh")
     assert len(store.manifest.parts) == len(fresh.manifest.parts) > 1
     for ours, theirs in zip(store.manifest.parts, fresh.manifest.parts, strict=True):
         assert (path / ours).read_bytes() == (fresh.path / theirs).read_bytes()
@@ -121,7 +119,7 @@ def test_a_compacted_store_is_that_of_one_ingest(tmp_path, make_motion):
 
 def test_reading_a_store_that_was_compacted_meanwhile_is_reported(tmp_path, make_motion):
     path = write(tmp_path / "store", motions(make_motion, 6), pieces=2)
-    before = Store.open(path)
+    before = mk.Store.open(path)
     before.read(0)
     assert compact(path)
     assert before.read(1).sequence_id == "take-1"  # its row group is still in memory
@@ -136,24 +134,24 @@ def test_a_merge_is_one_ingest_of_what_is_new(tmp_path, make_motion):
     write(tmp_path / "fresh", made)
     report = merge(tmp_path / "out", [first, second])
     assert (report.num_stored, report.num_already_stored, report.num_in_store) == (20, 4, 20)
-    assert Store.open(tmp_path / "out").fingerprint == Store.open(tmp_path / "fresh").fingerprint
+    assert mk.Store.open(tmp_path / "out").fingerprint == mk.Store.open(tmp_path / "fresh").fingerprint
     report = merge(first, [second, second])
     assert (report.num_stored, report.num_already_stored, report.num_in_store) == (8, 16, 20)
     assert_holds(first, made)
     merge(tmp_path / "subset", [tmp_path / "fresh"], where="fps = 120 AND has_rotations")
     chosen = [motion for motion in made if motion.fps == 120 and motion.local_rotations is not None]
     assert_holds(tmp_path / "subset", chosen)
-    assert set(Store.open(tmp_path / "subset").skeletons) == {motion.skeleton.fingerprint for motion in chosen}
+    assert set(mk.Store.open(tmp_path / "subset").skeletons) == {motion.skeleton.fingerprint for motion in chosen}
 
 
 def test_one_id_for_two_files_is_a_conflict(tmp_path, make_motion):
     mine, theirs = motions(make_motion, 9), motions(make_motion, 12)
     theirs = [replace(each, provenance=replace(each.provenance, source_sha256="cd" * 32)) for each in theirs]
     out, source = write(tmp_path / "out", mine), write(tmp_path / "source", theirs)
-    before = Store.open(out).fingerprint
+    before = mk.Store.open(out).fingerprint
     with pytest.raises(StoreError, match="'take-0', 'take-1'"):
         merge(out, [source])
-    assert Store.open(out).fingerprint == before
+    assert mk.Store.open(out).fingerprint == before
     merge(out, [source], where="sequence_id NOT IN (" + ", ".join(f"'take-{i}'" for i in range(9)) + ")")
     assert_holds(out, [*mine, *theirs[9:]])
 
@@ -161,7 +159,7 @@ def test_one_id_for_two_files_is_a_conflict(tmp_path, make_motion):
 def taken_by(make_motion, name, subject, *captions, source="made", num_frames=30):
     motion = make_motion(name, num_frames, fps=Fraction(30))
     provenance = replace(motion.provenance, source=source, subject=subject)
-    return replace(motion, provenance=provenance, captions=tuple(map(Caption, captions)))
+    return replace(motion, provenance=provenance, captions=tuple(map(mk.Caption, captions)))
 
 
 @pytest.fixture
@@ -179,7 +177,7 @@ def many(tmp_path, make_motion):
 def splits_of(path, *keys):
     """The splits in which each group of sequences is."""
     found = {}
-    rows = Store.open(path).sequences[[*keys, "split"]]
+    rows = mk.Store.open(path).sequences[[*keys, "split"]]
     for *group, name in rows.itertuples(index=False):
         found.setdefault(tuple(group), set()).add(name)
     return found
@@ -205,7 +203,7 @@ def test_no_split_is_farther_from_its_share_than_a_group_is_long(seconds, shares
 def test_performers_are_whole_and_shares_near(many):
     report = split(many)
     assert all(len(found) == 1 for found in splits_of(many, "source", "subject").values())
-    seconds = Store.open(many).sequences.groupby(["source", "subject"])["duration_seconds"].sum()
+    seconds = mk.Store.open(many).sequences.groupby(["source", "subject"])["duration_seconds"].sum()
     assert [each.split for each in report.splits] == list(DEFAULT_SHARES)
     assert sum(each.num_groups for each in report.splits) == 30
     for each in report.splits:
@@ -217,9 +215,9 @@ def test_performers_are_whole_and_shares_near(many):
 
 
 def test_only_the_column_changes_and_the_seed_decides(many):
-    before = Store.open(many)
+    before = mk.Store.open(many)
     first = split(many, seed=1)
-    after = Store.open(many)
+    after = mk.Store.open(many)
     assert list(faults(many)) == []
     assert first.fingerprint == after.fingerprint != before.fingerprint
     assert after.sequences_table.drop_columns("split").equals(before.sequences_table.drop_columns("split"))
@@ -256,10 +254,10 @@ def test_nobody_is_torn_by_a_condition(many):
     ],
 )
 def test_what_cannot_be_split_is_reported_and_left(many, shares, options, message):
-    before = Store.open(many).fingerprint
+    before = mk.Store.open(many).fingerprint
     with pytest.raises(UsageError, match=message):
         split(many, shares, **options)
-    assert Store.open(many).fingerprint == before
+    assert mk.Store.open(many).fingerprint == before
 
 
 def test_wordings_are_held_out_whatever_their_case_and_punctuation(tmp_path, make_motion):

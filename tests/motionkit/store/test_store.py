@@ -1,22 +1,27 @@
-"""What goes into a store comes out of it, bit by bit; and other tools can read it."""
+"""What goes into a store comes out of it, bit by bit; other tools can read it; statements about it are confined."""
 
+import os
 import re
+import signal
 import tempfile
+import threading
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from motionkit.core.motion import Motion
+import motionkit as mk
 from motionkit.core.skeleton import KIT21, SMPL22, Feet, Skeleton
 from motionkit.store import RefusedMotion, Store, StoreWriter, schema
 from motionkit.store import writer as writing
+from motionkit.store.reader import query
 from motionkit.store.schema import FRAME_COLUMNS, KEY_COLUMNS, MOTIONS, RESOLUTION_BITS, SEQUENCES, rounded
 from tests.helpers.repository import REPOSITORY
 
@@ -24,14 +29,14 @@ PART = "motions/part-00000.parquet"
 PAGE = REPOSITORY / "docs" / "store.md"
 
 
-def write(path: Path, motions: list[Motion]) -> Store:
+def write(path: Path, motions: list[mk.Motion]) -> Store:
     with StoreWriter.create(path) as writer:
         for motion in motions:
             writer.add(motion)
     return Store.open(path)
 
 
-def assert_same(found: Motion, expected: Motion) -> None:
+def assert_same(found: mk.Motion, expected: mk.Motion) -> None:
     assert found.sequence_id == expected.sequence_id
     assert found.timegrid == expected.timegrid
     assert found.skeleton == expected.skeleton
@@ -209,3 +214,42 @@ def test_the_pages_examples_run(small_store, monkeypatch):
     names = {"motion": motion, "sequence": np.zeros(4, np.int64), "start_frame": np.zeros(4, np.int64)}
     exec(example, names)
     assert len(names["store"]) == 7 and "cmu/asfamc/01/01_01" in names["store"]
+
+
+# Minutes of work.
+LONG = "SELECT count(*) FROM range(100000000) a, range(1000) b WHERE a.range * b.range % 7 = 1"
+
+
+def test_a_statement_is_stopped() -> None:
+    query({"sequences": pa.table({"a": [1]})}, "SELECT 1")  # whatever is imported late
+    timer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt):
+        timer.start()
+        query({"sequences": pa.table({"a": [1]})}, LONG)
+    timer.join()
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "EXPLAIN ANALYZE COPY (SELECT 'x' AS a) TO '.tmp/new.csv'",
+        "SELECT * FROM read_text('.tmp/there.csv')",
+        "SELECT * FROM '.tmp/there.csv'",
+    ],
+)
+def test_a_statement_has_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sql: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / ".tmp"  # duckdb's own place for temporary files
+    folder.mkdir()
+    (folder / "there.csv").write_text("a\nx\n")
+    with pytest.raises(mk.UsageError):
+        query({}, sql)
+    assert [path.name for path in folder.iterdir()] == ["there.csv"]
+
+
+def test_a_statement_leaves_nothing_to_the_next() -> None:
+    assert query({"sequences": pa.table({"a": [1]})}, "SELECT a FROM sequences")["a"].to_pylist() == [1]
+    query({}, "EXPLAIN ANALYZE CREATE TABLE sequences AS SELECT 2 AS a")
+    for name in ("sequences", "skeletons"):
+        with pytest.raises(mk.UsageError, match=name):
+            query({}, f"SELECT * FROM {name}")

