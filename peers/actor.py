@@ -1,15 +1,15 @@
 """ACTOR (Petrovich et al. 2021; Mathux/ACTOR, src/models/architectures/transformer.py): a conditional VAE."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import mse_loss
+from torch.nn.functional import mse_loss, pad
 
 from motionkit.training.config import Schedule
 from motionkit.training.networks import Conditions, kl_divergence, reparameterized
 from peers import layers
-from peers.generating import GIVEN, GIVEN_MINILM, SMALL, PeerConfig, PeerStage, cosine
+from peers.generating import GIVEN_ACTION, GIVEN_MINILM, SMALL, PeerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, Latents, NetworkInputs, PeerNetwork, TransformerSizes, positions
 from peers.motions import Mask, MotionBatch, MotionsConfig, Rows, SampleBatch
 
@@ -19,12 +19,11 @@ class ActorNetworkConfig:
     """ACTOR: transformers of these sizes to one latent of their width and back."""
 
     transformer: TransformerSizes = TransformerSizes(8, 256, 4, 1024)
-    joint_weight: float = 1.0
     kl_weight: float = 1e-5
 
 
 class Actor(PeerNetwork):
-    """Conditional transformer VAE with one latent per motion."""
+    """ACTOR: a conditional transformer VAE with one latent per motion."""
 
     def __init__(self, config: ActorNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
@@ -41,8 +40,7 @@ class Actor(PeerNetwork):
         """μ and log σ²: the outputs of two condition tokens."""
         first = torch.stack((self.mean_token(conditions), self.variance_token(conditions)), dim=1)
         tokens = torch.cat((first, self.frame_in(rows)), dim=1)
-        hidden = layers.hidden_tokens(mask, first=2)
-        tokens = self.encoder(self.dropout(tokens + positions(tokens)), src_key_padding_mask=hidden)
+        tokens = self.encoder(self.dropout(tokens + positions(tokens)), src_key_padding_mask=pad(~mask, (2, 0)))
         return tokens[:, 0], tokens[:, 1]
 
     def decode(self, latents: Latents, mask: Mask, conditions: Conditions) -> Rows:
@@ -61,7 +59,7 @@ class Actor(PeerNetwork):
         features = mse_loss(predicted[mask], batch.rows[mask])
         joints = mse_loss(joints_of(predicted)[mask], joints_of(batch.rows)[mask])
         kl = kl_divergence(mean, log_variance).sum()
-        loss = features + self.config.joint_weight * joints + self.config.kl_weight * kl
+        loss = features + joints + self.config.kl_weight * kl
         return {"loss": loss, "features": features, "joints": joints, "kl": kl}
 
     def sample(self, batch: SampleBatch) -> Rows:
@@ -69,18 +67,7 @@ class Actor(PeerNetwork):
         return self.decode(batch.noise(self.width).float(), batch.mask, batch.conditions)
 
 
-ACTOR = PeerStage(
-    "actor",
-    "ACTOR: a conditional VAE of whole motions",
-    Actor,
-    nano=PeerConfig(
-        ActorNetworkConfig(SMALL), conditions=GIVEN_MINILM, schedule=cosine(2900, 16, 5e-4), precision="auto"
-    ),
-    paper=PeerConfig(
-        ActorNetworkConfig(),
-        MotionsConfig(max_frames=60),
-        replace(GIVEN, kind="action"),
-        Schedule(epochs=5000, batch_size=20),
-        weight_decay=0.01,
-    ),
-)
+NANO = PeerConfig(ActorNetworkConfig(SMALL), cosine(2900, 16, 5e-4), GIVEN_MINILM, precision="auto")
+PUBLISHED, SHORT = Schedule(epochs=5000, batch_size=20), MotionsConfig(max_frames=60)
+PAPER = PeerConfig(ActorNetworkConfig(), PUBLISHED, GIVEN_ACTION, SHORT, weight_decay=0.01)
+ACTOR = PeerStage("actor", Actor, NANO, PAPER)

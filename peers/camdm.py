@@ -9,9 +9,9 @@ from motionkit.core.shapes import Bool, Float
 from motionkit.training.config import DiffusionConfig, Schedule
 from motionkit.training.networks import Conditions
 from peers import layers
-from peers.generating import MINILM, SMALL, PeerConfig, PeerStage, cosine
+from peers.generating import CLIP, MINILM, SMALL, PeerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, Steps, TransformerSizes, positions, sinusoids
-from peers.motions import ConditionsConfig, MotionBatch, MotionsConfig, Rows, SampleBatch
+from peers.motions import MotionBatch, MotionsConfig, Rows, SampleBatch
 
 # Ankle and foot joints of the 22-joint skeleton; a foot that moves less than this per frame (metres) is in contact.
 FEET, CONTACT_METRES = (7, 10, 8, 11), 0.01
@@ -31,13 +31,13 @@ class CamdmNetworkConfig:
 
 
 class Camdm(PeerNetwork):
-    """Predicts x̂₀ of future frames with a transformer encoder over [time; condition; past frames; noisy frames]."""
+    """CAMDM: predicts x̂₀ of future frames with a transformer over [time; condition; past frames; noisy frames]."""
 
     def __init__(self, config: CamdmNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
         width = config.transformer.width
-        self.config, self.diffusion, self.space, self.width = config, config.diffusion, inputs.space, width
-        self.numbers = inputs.space.num_features
+        self.config, self.diffusion, self.width = config, config.diffusion, width
+        self.space, self.numbers = inputs.space, inputs.space.num_features
         self.frame_in, self.past_in = nn.Linear(self.numbers, width), nn.Linear(self.numbers, width)
         self.no_past = nn.Parameter(torch.zeros(width))
         self.condition = ConditionVector(inputs.conditions, width)
@@ -72,11 +72,11 @@ class Camdm(PeerNetwork):
         predicted = self(noisy * mask[..., None], steps, batch.conditions, past, has_past)
         both = mask[:, 1:] & mask[:, :-1]
         joints, truth = self.space.joints(predicted), self.space.joints(clean)
-        moved, true_moved = _changes(joints), _changes(truth)
+        moved, true_moved = joints.diff(dim=1), truth.diff(dim=1)
         contact = (true_moved[:, :, FEET].norm(dim=-1) <= CONTACT_METRES) & both[..., None]
         terms = {
             "pose": (predicted - clean)[mask].square().mean(),
-            "pose_change": (_changes(predicted) - _changes(clean))[both].square().mean(),
+            "pose_change": (predicted.diff(dim=1) - clean.diff(dim=1))[both].square().mean(),
             "joints": (joints - truth)[mask].square().mean(),
             "joint_change": (moved - true_moved)[both].square().mean(),
             "feet": (moved[:, :, FEET].square().sum(dim=-1) * contact).sum() / contact.sum().clamp(min=1),
@@ -95,28 +95,8 @@ class Camdm(PeerNetwork):
         return rows[:, past : past + batch.frames]
 
 
-def _changes(values: Tensor) -> Tensor:
-    return values[:, 1:] - values[:, :-1]
-
-
-SEGMENTS = MotionsConfig(fps=30.0, max_frames=294, sampled_frames=55)
-CAMDM = PeerStage(
-    "camdm",
-    "CAMDM: autoregressive diffusion of motion segments in 4 steps",
-    Camdm,
-    nano=PeerConfig(
-        CamdmNetworkConfig(SMALL),
-        SEGMENTS,
-        replace(MINILM, drop=0.15),
-        cosine(6000, 64, 3e-3),
-        ema_decay=0.995,
-        precision="auto",
-    ),
-    paper=PeerConfig(
-        CamdmNetworkConfig(),
-        SEGMENTS,
-        ConditionsConfig(drop=0.15),
-        Schedule(epochs=100, batch_size=512),
-        weight_decay=0.01,
-    ),
-)
+SEGMENTS, PUBLISHED = MotionsConfig(fps=30.0, max_frames=294, sampled_frames=55), Schedule(epochs=100, batch_size=512)
+SIZES, MINILM_15, CLIP_15 = CamdmNetworkConfig(SMALL), replace(MINILM, drop=0.15), replace(CLIP, drop=0.15)
+NANO = PeerConfig(SIZES, cosine(6000, 64, 3e-3), MINILM_15, SEGMENTS, precision="auto", ema_decay=0.995)
+PAPER = PeerConfig(CamdmNetworkConfig(), PUBLISHED, CLIP_15, SEGMENTS, weight_decay=0.01)
+CAMDM = PeerStage("camdm", Camdm, NANO, PAPER)

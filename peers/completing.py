@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from motionkit.core.shapes import Float, Int
 from motionkit.training.config import specialised
 from pahires.temporal.network import ObservedWindow
-from pahires.temporal.settings import TaskSettings, TemporalConfig, TemporalSettings, base_training, nano_training
+from pahires.temporal.settings import TaskSettings, TemporalConfig, TemporalSettings
 from pahires.temporal.system import TemporalSystem
 
 # An instant this close to a frame, in frames, counts as that frame: times are rounded.
@@ -33,37 +33,26 @@ class PeerConfig(TemporalConfig):
 
 
 def completing_system(
-    name: str,
-    description: str,
-    network: type[nn.Module],
-    recipes: Mapping[str, tuple[object, TemporalSettings]],
-    base: type[PeerConfig] = PeerConfig,
+    name: str, network: type[nn.Module], recipes: Mapping[str, tuple[object, TemporalSettings]]
 ) -> TemporalSystem:
-    """The system of a network that is built from its sizes and the numbers per row.
-
-    `recipes` are sizes and trainings by name; `base` is the configuration's type but for its sizes.
-    """
-    config = specialised(base, network.__name__ + "Config", network=type(recipes["paper"][0]))
+    """The system of a network that is built from its sizes and the numbers per row; recipes are sizes and trainings."""
+    description = (network.__doc__ or "").partition("\n")[0]
+    config = specialised(PeerConfig, network.__name__ + "Config", network=type(recipes["paper"][0]))
     make = {recipe: partial(config, *sizes_and_training) for recipe, sizes_and_training in recipes.items()}
     return TemporalSystem(name, description, config, lambda of, numbers: network(of.network, numbers), make)
 
 
-def on_task(task: TaskSettings, training: TemporalSettings, learning_rate: float | None = None) -> TemporalSettings:
-    """The part of a training on all tasks that is on one task."""
-    steps, shares = training.schedule.steps, training.tasks.shares
-    assert steps is not None
-    kept = sum(share for share, own in zip(shares, task.shares, strict=True) if own)
-    interpolate, gap, scattered, extend = task.shares
-    tasks = replace(training.tasks, interpolate=interpolate, gap=gap, scattered=scattered, extend=extend)
-    schedule = replace(training.schedule, steps=round(steps * kept / sum(shares)))
-    schedule = replace(schedule, learning_rate=learning_rate or schedule.learning_rate)
-    return replace(training, tasks=tasks, schedule=schedule)
-
-
 # Every s-th frame observed, s ~ U(1, 4), for Tables 1 and 2; a gap in the frames for Table 3.
-INTERPOLATION = TaskSettings(interpolate=1.0, gap=0.0, scattered=0.0, extend=0.0)
-IN_BETWEENING = TaskSettings(interpolate=0.0, gap=1.0, scattered=0.0, extend=0.0)
-NANO_GAPS, BASE_GAPS = on_task(IN_BETWEENING, nano_training()), on_task(IN_BETWEENING, base_training(), 2e-4)
+INTERPOLATION, IN_BETWEENING = TaskSettings(interpolate=1.0), TaskSettings(interpolate=0.0, gap=1.0)
+
+
+def on_task(task: TaskSettings, training: TemporalSettings, learning_rate: float | None = None) -> TemporalSettings:
+    """The share of a training on all tasks that is on one task."""
+    shares, schedule = training.tasks.shares, training.schedule
+    kept = sum(share for share, own in zip(shares, task.shares, strict=True) if own) / sum(shares)
+    steps, rate = round((schedule.steps or 0) * kept), learning_rate or schedule.learning_rate
+    tasks = replace(task, num_frames=training.tasks.num_frames, num_queries=training.tasks.num_queries)
+    return replace(training, tasks=tasks, schedule=replace(schedule, steps=steps, learning_rate=rate))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +88,8 @@ def neighbours(window: ObservedWindow) -> Neighbours:
     at = torch.stack((times.gather(1, rows[0]), times.gather(1, rows[1])))
     gap = at[1] - at[0]
     share = torch.where(gap > 0, (queries - at[0]) / gap.clamp(min=torch.finfo(gap.dtype).tiny), 0.0).clamp(0, 1)
-    return Neighbours(
-        rows=rows,
-        relative=(queries - at) / spacing[:, None],
-        weights=torch.stack((1 - share, share)),
-        cell=window.query_spacing_seconds / spacing,
-    )
+    weights, cell = torch.stack((1 - share, share)), window.query_spacing_seconds / spacing
+    return Neighbours(rows, (queries - at) / spacing[:, None], weights, cell)
 
 
 def gathered(
@@ -114,24 +99,16 @@ def gathered(
     return codes[torch.arange(len(codes), device=codes.device)[:, None], rows]
 
 
-@dataclass(frozen=True, eq=False)
-class Gap:
-    """The observed frames on both sides of each window's longest gap (the first of several), and their times.
+def longest_gap(
+    window: ObservedWindow,
+) -> tuple[Int[Tensor, "batch"], Float[Tensor, "batch 1"], Float[Tensor, "batch 1"]]:
+    """The observed frame before each window's longest gap (the first of several), and the times at both its ends.
 
     A window of one frame has a gap of no length at that frame.
     """
-
-    before: Int[Tensor, "batch"]
-    before_seconds: Float[Tensor, "batch"]
-    after_seconds: Float[Tensor, "batch"]
-
-
-def longest_gap(window: ObservedWindow) -> Gap:
-    """The longest gap of each window."""
     times = window.times_seconds
-    last = times.shape[1] - 1
     # Rounding of times must not decide between equal gaps: frames are milliseconds apart.
     gaps = torch.round(torch.diff(times, dim=1, append=times[:, -1:]) * 1e4)
-    before = torch.argmax(gaps, dim=1)
-    after = (before + 1).clamp(max=last)
-    return Gap(before, *(times.gather(1, row[:, None])[:, 0] for row in (before, after)))
+    before = torch.argmax(gaps, dim=1, keepdim=True)
+    after = (before + 1).clamp(max=times.shape[1] - 1)
+    return before[:, 0], times.gather(1, before), times.gather(1, after)

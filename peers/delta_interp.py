@@ -8,8 +8,10 @@ from torch import Tensor, nn
 from motionkit.core.shapes import Float
 from motionkit.training.config import Schedule
 from pahires.temporal.network import ObservedWindow
-from pahires.temporal.settings import AnswerSettings, TemporalSettings
-from peers.completing import BASE_GAPS, IN_BETWEENING, NANO_GAPS, completing_system, longest_gap
+from pahires.temporal.settings import AnswerSettings, TemporalSettings, base_training, nano_training
+from peers.completing import IN_BETWEENING, completing_system, longest_gap, on_task
+
+Tokens = Float[Tensor, "batch _ width"]
 
 
 @dataclass(frozen=True)
@@ -52,12 +54,11 @@ class DeltaInterp(nn.Module):
 
     def forward(self, window: ObservedWindow) -> Float[Tensor, "batch queries numbers"]:
         """Normalised pose vectors at the queries, or what is to be added to an interpolation."""
-        gap, start = longest_gap(window), window.times_seconds[:, :1]
-        reference = window.frames[torch.arange(len(window.frames), device=window.frames.device), gap.before]
-        missing_frames = (gap.after_seconds - gap.before_seconds) * self.frames_per_second - 1
-        length = self.length(missing_frames[:, None])
+        (before, gap_start, gap_end), start = longest_gap(window), window.times_seconds[:, :1]
+        reference = window.frames[torch.arange(len(window.frames), device=window.frames.device), before]
+        length = self.length((gap_end - gap_start) * self.frames_per_second - 1)
 
-        def entered(layer: nn.Linear, poses: Tensor, times_seconds: Tensor) -> Tensor:
+        def entered(layer: nn.Module, poses: Tensor, times_seconds: Tensor) -> Tensor:
             position = self.position((times_seconds - start) * self.frames_per_second)
             rows: Tensor = layer(torch.cat((poses, position, length.expand(position.shape)), dim=-1))
             return rows
@@ -99,9 +100,7 @@ class Block(nn.Module):
         hidden = [layer for _ in range(layers) for layer in (nn.Linear(width, width), nn.LeakyReLU())]
         self.residual = nn.Sequential(*hidden[:2], nn.Dropout(dropout), *hidden[2:])
 
-    def forward(
-        self, queries: Float[Tensor, "batch queries width"], keys: Float[Tensor, "batch keys width"]
-    ) -> Float[Tensor, "batch queries width"]:
+    def forward(self, queries: Tokens, keys: Tokens) -> Tokens:
         """The queries after attention to the keys and the residual MLP."""
         attended, _ = self.attention(queries, keys, keys, need_weights=False)
         hidden = torch.relu(self.norm(queries + attended))
@@ -109,8 +108,8 @@ class Block(nn.Module):
         return hidden + changed
 
 
-def _correcting_slerp(training: TemporalSettings) -> TemporalSettings:
-    return replace(training, answer=replace(training.answer, form="residual", base="slerp"))
+def _on_gaps(training: TemporalSettings, learning_rate: float | None = None) -> TemporalSettings:
+    return replace(on_task(IN_BETWEENING, training, learning_rate), answer=AnswerSettings("residual", "slerp"))
 
 
 # 300 epochs at 2e-4, a tenth of it after 200; gaps of 5 to 39 frames.
@@ -119,16 +118,9 @@ PAPER = TemporalSettings(
     answer=AnswerSettings(form="residual"),
     schedule=Schedule(epochs=300, learning_rate=2e-4, kind="steps", warmup_fraction=0.02, drop=0.1, drop_every=2 / 3),
 )
-DELTA_INTERP = completing_system(
-    "delta-interp",
-    "Δ-Interp: in-betweening relative to an interpolation",
-    DeltaInterp,
-    {
-        "nano": (
-            DeltaInterpNetworkConfig(width=96, blocks=3, layers=2, heads=4, dropout=0.0),
-            _correcting_slerp(NANO_GAPS),
-        ),
-        "base": (DeltaInterpNetworkConfig(width=512), _correcting_slerp(BASE_GAPS)),
-        "paper": (DeltaInterpNetworkConfig(), PAPER),
-    },
-)
+RECIPES = {
+    "nano": (DeltaInterpNetworkConfig(96, 3, layers=2, heads=4, dropout=0.0), _on_gaps(nano_training())),
+    "base": (DeltaInterpNetworkConfig(512), _on_gaps(base_training(), 2e-4)),
+    "paper": (DeltaInterpNetworkConfig(), PAPER),
+}
+DELTA_INTERP = completing_system("delta-interp", DeltaInterp, RECIPES)

@@ -10,17 +10,9 @@ from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float
 from motionkit.training.config import Schedule
 from motionkit.training.networks import Conditions, VectorScaling, guided
-from peers.generating import MINILM, PeerConfig, PeerStage, cosine
-from peers.layers import (
-    ConditionVector,
-    Latents,
-    NetworkInputs,
-    PeerNetwork,
-    Tokens,
-    TransformerSizes,
-    sinusoids,
-    with_inputs,
-)
+from peers import layers
+from peers.generating import CLIP, MINILM, PeerConfig, PeerStage, cosine
+from peers.layers import ConditionVector, Latents, NetworkInputs, PeerNetwork, Tokens, TransformerSizes
 from peers.motions import Mask, MotionBatch, MotionsConfig, PoseSpace, Rows, SampleBatch
 
 # Flow times lie in [0, 1]; the sinusoidal embedding expects diffusion steps.
@@ -37,7 +29,7 @@ class FlowNetworkConfig:
 
 
 class Flow(PeerNetwork):
-    """Predicts the velocity from noise to motion: one token per frame, time and condition in every layer (AdaLN)."""
+    """ACMDM-S: predicts the velocity from noise to motion; one token per frame, all else in every layer (AdaLN)."""
 
     def __init__(self, config: FlowNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
@@ -53,7 +45,7 @@ class Flow(PeerNetwork):
 
     def forward(self, noisy: Rows, times: Float[Tensor, "batch"], conditions: Conditions, mask: Mask) -> Rows:
         """dx/dt; padding frames are masked out of the attention."""
-        embedding = silu(self.time_in(sinusoids(times * TIME_SCALE, self.width)) + self.condition(conditions))
+        embedding = silu(self.time_in(layers.sinusoids(times * TIME_SCALE, self.width)) + self.condition(conditions))
         tokens = self.frame_in(noisy)
         for layer in self.layers:
             tokens = layer(tokens, embedding, mask)
@@ -72,7 +64,7 @@ class Flow(PeerNetwork):
 
     def sample(self, batch: SampleBatch) -> Rows:
         """Standardised rows, by uniform Euler steps."""
-        network, steps = with_inputs(self, batch.mask), self.config.sampling_steps
+        network, steps = layers.with_inputs(self, batch.mask), self.config.sampling_steps
         scale = batch.conditions.guidance(self.config.guidance_scale)
         x = batch.noise_within(batch.lengths, self.numbers).float()
         for step in range(steps):
@@ -84,8 +76,7 @@ class Flow(PeerNetwork):
 class AbsoluteCoordinates:
     """Standardised `field` rows ↔ coordinates of all joints in the window's frame, standardised as well.
 
-    Mean and scale of coordinates assume independent root and joints. Raises `UsageError` for rows of another
-    convention.
+    Their mean and scale assume independent root and joints. Raises `UsageError` for rows of another convention.
     """
 
     def __init__(self, space: PoseSpace) -> None:
@@ -158,23 +149,8 @@ def rotary(values: Float[Tensor, "batch heads frames size"]) -> Float[Tensor, "b
 
 
 COORDINATES = MotionsConfig(pose_vectors="field", crops="whole")
-FLOW = PeerStage(
-    "flow",
-    "ACMDM's small form: a rectified flow of absolute coordinates",
-    Flow,
-    nano=PeerConfig(
-        FlowNetworkConfig(TransformerSizes(4, 128, 2, 341, 0.0), sampling_steps=25, guidance_scale=1.0),
-        COORDINATES,
-        MINILM,
-        cosine(5000, 16, 3e-3),
-        ema_decay=0.995,
-        precision="auto",
-    ),
-    paper=PeerConfig(
-        FlowNetworkConfig(),
-        COORDINATES,
-        schedule=Schedule(epochs=500, learning_rate=2e-4),
-        weight_decay=0.01,
-        ema_decay=0.9999,
-    ),
-)
+SIZES = FlowNetworkConfig(TransformerSizes(4, 128, 2, 341, 0.0), sampling_steps=25, guidance_scale=1.0)
+NANO = PeerConfig(SIZES, cosine(5000, 16, 3e-3), MINILM, COORDINATES, precision="auto", ema_decay=0.995)
+PUBLISHED = Schedule(epochs=500, learning_rate=2e-4)
+PAPER = PeerConfig(FlowNetworkConfig(), PUBLISHED, CLIP, COORDINATES, ema_decay=0.9999, weight_decay=0.01)
+FLOW = PeerStage("flow", Flow, NANO, PAPER)

@@ -10,7 +10,7 @@ from fractions import Fraction
 from functools import cached_property, partial
 from math import ceil
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,30 +23,15 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField
 from motionkit.fields.motion_field import MotionField, Observation
 from motionkit.generate.models import GenerationRequest, SamplingOptions
+from motionkit.training import loop
 from motionkit.training.config import DiffusionConfig, Precision, Schedule, from_plain, specialised, to_plain
-from motionkit.training.loop import (
-    CheckpointError,
-    Learner,
-    autocast,
-    dropout_from,
-    load_tensors,
-    prefixed,
-    rebuilding,
-    resolve_device,
-    run_training,
-    save_tensors,
-    seeded_initialisation,
-    step_generator,
-    unprefixed,
-    with_precision_of,
-)
+from motionkit.training.loop import autocast, resolve_device, step_generator, with_precision_of
 from motionkit.training.networks import Conditions, ConditionSizes, VectorScaling, vector_tensors, vectors_of
 from motionkit.training.run import RunError, RunFolder, Stage, StageContext
 from motionkit.training.text import TextEncoder, load_same_encoder
 from peers.layers import NetworkInputs, PeerNetwork, TransformerSizes
 from peers.motions import ConditionsConfig, MotionCorpus, MotionsConfig, PoseSpace, SampleBatch, open_corpus
 
-FORMAT, FORMAT_VERSION = "motionkit-generative-peer", 1
 MOTIONS_PER_BATCH = 64
 
 
@@ -59,30 +44,28 @@ class PeerConfig:
     """
 
     network: Any = None
-    motions: MotionsConfig = MotionsConfig()
-    conditions: ConditionsConfig = ConditionsConfig()
     schedule: Schedule = Schedule(epochs=1)
-    weight_decay: float = 0.0
-    ema_decay: float = 0.0
-    clip_norm: float = 0.0
+    conditions: ConditionsConfig = ConditionsConfig()
+    motions: MotionsConfig = MotionsConfig()
     precision: Precision = "float32"
+    ema_decay: float = 0.0
+    weight_decay: float = 0.0
+    clip_norm: float = 0.0
 
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.ema_decay < 1.0:
-            raise ValueError(f"ema_decay must lie in [0, 1), not {self.ema_decay}")
 
-
-def cosine(steps: int, batch_size: int, learning_rate: float) -> Schedule:
+def cosine(steps: int, batch_size: int, learning_rate: float, warmup_fraction: float = 0.02) -> Schedule:
     """A schedule with a short warm-up, then half a cosine."""
-    return Schedule(
-        steps=steps, batch_size=batch_size, learning_rate=learning_rate, kind="cosine", warmup_fraction=0.02
-    )
+    return Schedule(steps, None, batch_size, learning_rate, "cosine", warmup_fraction)
 
 
-UNCONDITIONAL = ConditionsConfig(kind="none")
-MINILM = ConditionsConfig(text_encoder="minilm", scaled=True)
+def dropping(epochs: int, batch_size: int, learning_rate: float = 1e-3) -> Schedule:
+    """A schedule whose learning rate falls by a hundredth after every epoch."""
+    return Schedule(None, epochs, batch_size, learning_rate, "steps", drop=0.99, drop_every=1 / epochs)
+
+
+UNCONDITIONAL, CLIP, MINILM = ConditionsConfig("none"), ConditionsConfig(), ConditionsConfig(text_encoder="minilm")
 # Without diffusion there is no guidance, so no condition is dropped.
-GIVEN, GIVEN_MINILM = ConditionsConfig(drop=0.0), replace(MINILM, drop=0.0)
+GIVEN, GIVEN_MINILM, GIVEN_ACTION = (replace(each, drop=0.0) for each in (CLIP, MINILM, ConditionsConfig("action")))
 # Every twelfth frame of KIT's 100 fps; 9.8 s, as the others.
 SLOW = MotionsConfig(fps=25 / 3, max_frames=82)
 # Two heads of 64 and no dropout: attention over 196 frames is twice as fast on a CPU.
@@ -91,21 +74,19 @@ SMALL = TransformerSizes(4, 128, 2, 256, dropout=0.0)
 
 @dataclass(frozen=True)
 class PeerStage:
-    """One training stage of a system; that of its last stage generates.
+    """One training stage of a system; the network of its last stage generates.
 
     The recipe `paper` has the published sizes, batch size and steps; `nano` trains small networks in about the
     processor time of NeRM's `nano`, 18 minutes on one core for all stages together. `share` is its share of the
-    system's time budget. A system that is not `conditional` takes no text and no action, whatever it is trained on.
+    system's time budget.
     """
 
     name: str
-    description: str
-    make_network: Callable[[Any, NetworkInputs], PeerNetwork]
+    network: Callable[[Any, NetworkInputs], PeerNetwork]
     nano: PeerConfig
     paper: PeerConfig
-    builds_on: "tuple[PeerStage, ...]" = ()
+    builds_on: "PeerStage | None" = None
     share: float = 1.0
-    conditional: bool = True
 
     @cached_property
     def config_type(self) -> type[PeerConfig]:
@@ -115,15 +96,15 @@ class PeerStage:
 
     @property
     def earlier(self) -> tuple[str, ...]:
-        """Names of the stages that it builds on."""
-        return tuple(stage.name for stage in self.builds_on)
+        """The name of the stage that it builds on, if it does."""
+        return (self.builds_on.name,) if self.builds_on else ()
 
     @property
     def stage(self) -> Stage[Any]:
         """The trainable stage."""
         return Stage(
             self.name,
-            self.description,
+            (self.network.__doc__ or "").partition("\n")[0],
             {name: partial(self.config_type, **vars(getattr(self, name))) for name in ("nano", "paper")},
             partial(train_stage, self),
             check=check_stage,
@@ -131,11 +112,29 @@ class PeerStage:
             share=self.share,
         )
 
-    def load(self, run: Path, title: str) -> "PeerModel":
-        """Load the system from a run, onto a GPU if there is one; raises `RunError` if a stage is not trained."""
-        device = resolve_device("auto")
-        trained = load_stage(RunFolder(run), self, device)
-        return PeerModel(title, trained, device, trained.config.conditions.kind if self.conditional else "none")
+    def load(self, run: Path, title: str = "", device_name: str = "auto") -> "PeerModel":
+        """Load it from a run; raises `RunError` if it is not trained, or its earlier stage was trained again since."""
+        name, folder, device = self.name, RunFolder(run).stage(self.name), resolve_device(device_name)
+        folder.read_summary()
+        tensors, description = loop.load_tensors(folder.model_path)
+        if description.get("builds_on") != RunFolder(run).fingerprints(self.earlier):
+            raise RunError(
+                f"{', '.join(self.earlier)} was trained again after {folder.model_path}: "
+                f"motionkit train --stage {name} --run {run.name} --overwrite"
+            )
+        earlier = self.builds_on.load(run, device_name=device_name).network if self.builds_on else None
+        with loop.rebuilding(folder.model_path, name), loop.seeded_initialisation(0, name):
+            config = from_plain(self.config_type, description["config"])
+            scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"]).to(device)
+            space = PoseSpace(vectors_of(config.motions.pose_vectors, tensors), scaling, config.motions.framerate)
+            sizes = ConditionSizes(len(tensors["nothing"]), tuple(map(str, description["actions"])))
+            network = self.network(config.network, NetworkInputs(space, sizes, len(tensors["durations"]), earlier))
+            network.load_state_dict(loop.unprefixed("network", tensors))
+        network = network.to(device).eval().requires_grad_(False)
+        fingerprint = str(description["text_fingerprint"])
+        return PeerModel(
+            title or name, config, network, space, sizes, tensors["durations"], tensors["nothing"], fingerprint, device
+        )
 
 
 class PeerTraining:
@@ -148,7 +147,7 @@ class PeerTraining:
         optimizer = torch.optim.AdamW(
             network.parameters(), lr=config.schedule.learning_rate, weight_decay=config.weight_decay
         )
-        self.learner = Learner(network, optimizer, config.ema_decay)
+        self.learner = loop.Learner(network, optimizer, config.ema_decay)
         self.state_tensors, self.load_state_tensors = self.learner.state_tensors, self.learner.load_state_tensors
 
     def step(self, step: int, generator: torch.Generator) -> Mapping[str, Tensor]:
@@ -156,24 +155,11 @@ class PeerTraining:
         schedule = self.config.schedule
         rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
         batch = self.corpus.batch(rows, generator, drop=self.config.conditions.drop)
-        with dropout_from(generator, self.device), autocast(self.config.precision, self.device):
+        with loop.dropout_from(generator, self.device), autocast(self.config.precision, self.device):
             figures = self.network.train().losses(batch.at_step(step, self.steps, self.device))
         rate = schedule.factor(step, self.steps) * schedule.learning_rate
         self.learner.descend(figures["loss"], step, rate, self.config.clip_norm)
         return {name: figure.detach() for name, figure in figures.items()}
-
-
-@dataclass(frozen=True, eq=False)
-class TrainedStage:
-    """A stage's network in evaluation mode, with its training setup; `durations` are of its windows, in seconds."""
-
-    config: PeerConfig
-    network: PeerNetwork
-    space: PoseSpace
-    sizes: ConditionSizes
-    durations: Float64[Tensor, "windows"]
-    nothing: Float[Tensor, "text"]
-    text_fingerprint: str
 
 
 def train_stage(stage: PeerStage, context: StageContext, config: PeerConfig) -> None:
@@ -186,41 +172,38 @@ def train_stage(stage: PeerStage, context: StageContext, config: PeerConfig) -> 
     store, device = context.open_store(), resolve_device(context.device)
     config = with_precision_of(config, device)
     encoder = config.conditions.load_encoder()
-    earlier = {each.name: load_stage(context.run, each, device) for each in stage.builds_on}
+    earlier = stage.builds_on.load(context.run.path, device_name=context.device) if stage.builds_on else None
     corpus = open_corpus(store, config.motions, config.conditions, encoder)
-    for name, trained in earlier.items():
-        theirs, own = (replace(each.motions, scattered=False, sampled_frames=0) for each in (trained.config, config))
+    if earlier is not None:
+        theirs, own = (replace(each.motions, sampled_frames=0) for each in (earlier.config, config))
         if theirs != own:
             raise RunError(
-                f"{name} was trained on other motions ({theirs}, not {own}): give both stages the same `motions.…` "
-                "settings"
+                f"{earlier.name} was trained on other motions ({theirs}, not {own}): give both stages the same "
+                "`motions.…` settings"
             )
-        corpus = replace(corpus, scaling=trained.space.scaling.to(torch.device("cpu")))
+        corpus = replace(corpus, scaling=earlier.space.scaling.to(torch.device("cpu")))
     scaling, sizes = corpus.scaling, corpus.conditions.sizes
     space = PoseSpace(corpus.vectors, scaling.to(device), config.motions.framerate)
-    with seeded_initialisation(context.seed, stage.name):
-        networks = {name: each.network for name, each in earlier.items()}
-        network = stage.make_network(config.network, NetworkInputs(space, sizes, len(corpus), networks))
+    with loop.seeded_initialisation(context.seed, stage.name):
+        inputs = NetworkInputs(space, sizes, len(corpus), earlier.network if earlier else None)
+        network = stage.network(config.network, inputs)
     folder = context.begin(stage.name, config, store_fingerprint=store.fingerprint, builds_on=stage.earlier)
     training = PeerTraining(config, corpus, network, device)
-    figures = run_training(context, training, folder)
+    figures = loop.run_training(context, training, folder)
     tensors = {
-        **prefixed("network", training.learner.trained_tensors()),
-        **prefixed("scaling", vars(scaling)),
+        **loop.prefixed("network", training.learner.trained_tensors()),
+        **loop.prefixed("scaling", vars(scaling)),
         "durations": torch.from_numpy(corpus.poses.windows.duration_seconds),
         "nothing": corpus.conditions.text[0],
         **vector_tensors(corpus.vectors),
     }
     description = {
-        "format": FORMAT,
-        "version": FORMAT_VERSION,
-        "stage": stage.name,
         "config": to_plain(config),
         "actions": list(sizes.actions),
         "text_fingerprint": "" if encoder is None else encoder.fingerprint,
         "builds_on": context.run.fingerprints(stage.earlier),
     }
-    save_tensors(folder.model_path, tensors, description)
+    loop.save_tensors(folder.model_path, tensors, description)
     facts = {
         "steps": training.steps,
         "parameters": sum(parameter.numel() for parameter in network.parameters()),
@@ -239,85 +222,65 @@ def check_stage(context: StageContext, config: PeerConfig) -> None:
     config.conditions.check(bool(columns["captions"].map(len).any()), bool(set(columns["action"]) - {""}))
 
 
-def load_stage(run: RunFolder, stage: PeerStage, device: torch.device) -> TrainedStage:
-    """Load a trained stage; raises `RunError` if it is missing, or an earlier stage has been trained again since."""
-    name, folder = stage.name, run.stage(stage.name)
-    folder.read_summary()
-    tensors, description = load_tensors(folder.model_path)
-    kind = tuple(description.get(key) for key in ("format", "version", "stage"))
-    if kind != (FORMAT, FORMAT_VERSION, name):
-        raise CheckpointError(f"{folder.model_path} is {kind}, expected {(FORMAT, FORMAT_VERSION, name)}")
-    if description["builds_on"] != run.fingerprints(stage.earlier):
-        raise RunError(
-            f"{', '.join(stage.earlier)} was trained again after {folder.model_path}: "
-            f"motionkit train --stage {name} --run {run.path.name} --overwrite"
-        )
-    earlier = {each.name: load_stage(run, each, device).network for each in stage.builds_on}
-    with rebuilding(folder.model_path, name), seeded_initialisation(0, name):
-        config = from_plain(stage.config_type, description["config"])
-        scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"]).to(device)
-        space = PoseSpace(vectors_of(config.motions.pose_vectors, tensors), scaling, config.motions.framerate)
-        sizes = ConditionSizes(len(tensors["nothing"]), tuple(map(str, description["actions"])))
-        network = stage.make_network(config.network, NetworkInputs(space, sizes, len(tensors["durations"]), earlier))
-        network.load_state_dict(unprefixed("network", tensors))
-    network = network.to(device).eval().requires_grad_(False)
-    fingerprint = str(description["text_fingerprint"])
-    return TrainedStage(config, network, space, sizes, tensors["durations"], tensors["nothing"], fingerprint)
-
-
 @dataclass(frozen=True, eq=False)
 class PeerModel:
-    """A `motionkit.generate.models.GenerativeModel`; `name` is that of its rows, `kind` of the conditions it takes."""
+    """A `motionkit.generate.models.GenerativeModel`: a network in evaluation mode, with its training setup.
+
+    `name` is that of its rows; `durations` are of its training windows, in seconds; `nothing` is the null text.
+    """
 
     name: str
-    trained: TrainedStage
+    config: PeerConfig
+    network: PeerNetwork
+    space: PoseSpace
+    sizes: ConditionSizes
+    durations: Float64[Tensor, "windows"]
+    nothing: Float[Tensor, "text"]
+    text_fingerprint: str
     device: torch.device
-    kind: Literal["text", "action", "none"]
 
     @property
     def skeleton(self) -> Skeleton:
         """The skeleton of its pose vectors."""
-        return self.trained.space.vectors.skeleton
+        return self.space.vectors.skeleton
 
     @property
     def max_training_fps(self) -> Fraction:
         """The one framerate that it was trained at."""
-        return self.trained.space.fps
+        return self.space.fps
 
     @property
     def max_duration_seconds(self) -> float:
         """The longest motion that it was trained on."""
-        return self.trained.config.motions.max_duration_seconds
+        return self.config.motions.max_duration_seconds
 
     @property
     def unconditional(self) -> bool:
         """Whether it takes no text and no action."""
-        return self.kind == "none"
+        return self.config.conditions.kind == "none"
 
     @property
     def always_conditioned(self) -> bool:
         """Whether it learnt from no motion without its condition, but for those that have none."""
-        return not (self.unconditional or self.trained.config.conditions.drop)
+        return not (self.unconditional or self.config.conditions.drop)
 
     @cached_property
     def text_encoder(self) -> TextEncoder:
         """The encoder it was trained with; raises `RunError` where its weights have changed."""
-        return load_same_encoder(self.trained.config.conditions.text_encoder, self.trained.text_fingerprint, self.name)
+        return load_same_encoder(self.config.conditions.text_encoder, self.text_fingerprint, self.name)
 
     def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
         """Raise `UsageError` for a duration, text, action or sampling option that this model does not support."""
         self._diffusion(sampling)
-        seconds = request.duration_seconds
-        if seconds is not None and not 0 < seconds <= self.max_duration_seconds + 1e-9:
-            raise UsageError(
-                f"{self.name} generates more than 0 and up to {self.max_duration_seconds:g} s, not {seconds:g} s"
-            )
+        seconds, longest, kind = request.duration_seconds, self.max_duration_seconds, self.config.conditions.kind
+        if seconds is not None and not 0 < seconds <= longest + 1e-9:
+            raise UsageError(f"{self.name} generates more than 0 and up to {longest:g} s, not {seconds:g} s")
         if self.unconditional and (request.text or request.action):
             raise UsageError(f"this {self.name} knows no texts and no actions: ask unconditionally")
-        if request.text and self.kind != "text" and not request.action:
-            raise UsageError(f"this {self.name} was trained without texts (conditions.kind={self.kind})")
-        if not (request.text and self.kind == "text"):
-            self.trained.sizes.action_index(request.action)
+        if request.text and kind != "text" and not request.action:
+            raise UsageError(f"this {self.name} was trained without texts (conditions.kind={kind})")
+        if not (request.text and kind == "text"):
+            self.sizes.action_index(request.action)
 
     def generate(
         self,
@@ -333,7 +296,7 @@ class PeerModel:
         """
         for request in requests:
             self.check(request, sampling)
-        fps, most = float(self.max_training_fps), self.trained.config.motions.max_frames + 1
+        fps, most = float(self.max_training_fps), self.config.motions.max_frames + 1
         seconds = [self._seconds(request, seed, first + row) for row, request in enumerate(requests)]
         # A batch is padded to its longest motion: motions of similar length are batched together.
         rows = sorted(range(len(requests)), key=seconds.__getitem__)
@@ -346,13 +309,13 @@ class PeerModel:
             batch = SampleBatch(
                 torch.tensor(lengths),
                 conditions.to(self.device),
-                conditions.unconditional(self.trained.nothing).to(self.device),
+                conditions.unconditional(self.nothing).to(self.device),
                 [step_generator(seed, "generate", first + row) for row in some],
                 replace(diffusion, guidance_scale=conditions.guidance(diffusion.guidance_scale)),
             )
             with torch.inference_mode():
-                sampled = self.trained.network.sample(batch).to(self.device, torch.float32)
-                vectors = self.trained.space.scaling.invert(sampled).cpu().numpy()
+                sampled = self.network.sample(batch).to(self.device, torch.float32)
+                vectors = self.space.scaling.invert(sampled).cpu().numpy()
             if not np.isfinite(vectors).all():
                 raise UsageError(f"sampling diverged: a guidance scale of {diffusion.guidance_scale:g} is too large")
             for row, length, own in zip(some, lengths, vectors, strict=True):
@@ -361,12 +324,11 @@ class PeerModel:
 
     def _field(self, vectors: Float32[np.ndarray, "frames numbers"], duration_seconds: float) -> MotionField:
         """Poses at the model's own framerate, interpolated by SLERP over the requested duration."""
-        space = self.trained.space
-        grid = TimeGrid(space.fps, len(vectors))
+        grid = TimeGrid(self.space.fps, len(vectors))
         seconds = grid.seconds()
-        instants = space.vectors.instants(seconds)
+        instants = self.space.vectors.instants(seconds)
         between = np.stack([np.interp(instants, seconds, column) for column in vectors.T], axis=1).astype(np.float32)
-        motion = space.vectors.decode(between, instants, seconds).at(grid, self.skeleton)
+        motion = self.space.vectors.decode(between, instants, seconds).at(grid, self.skeleton)
         field = INTERPOLATORS["slerp"].encode(Observation.of(motion))
         assert isinstance(field, InterpolatedField)
         return replace(field, end_seconds=min(duration_seconds, field.end_seconds))
@@ -374,26 +336,26 @@ class PeerModel:
     def _seconds(self, request: GenerationRequest, seed: int, number: int) -> float:
         if request.duration_seconds is not None:
             return float(request.duration_seconds)
-        row = torch.randint(len(self.trained.durations), (), generator=step_generator(seed, "duration", number))
-        return float(self.trained.durations[row])
+        row = torch.randint(len(self.durations), (), generator=step_generator(seed, "duration", number))
+        return float(self.durations[row])
 
     def _conditions(self, requests: Sequence[GenerationRequest], seconds: Sequence[float]) -> Conditions:
         """The network's conditions; a request without text or action gets the null condition."""
-        settings, nothing = self.trained.config.conditions, self.trained.nothing
-        texts = [request.text if self.kind == "text" else "" for request in requests]
-        actions = [request.action if self.kind == "action" else "" for request in requests]
+        settings = self.config.conditions
+        texts = [request.text if settings.kind == "text" else "" for request in requests]
+        actions = [request.action if settings.kind == "action" else "" for request in requests]
         named = list(dict.fromkeys(text for text in texts if text))
         rows = settings.embedded(self.text_encoder.encode(named), named) if named else ()
-        embedding = dict(zip(named, rows, strict=True)) | {"": nothing}
+        embedding = dict(zip(named, rows, strict=True)) | {"": self.nothing}
         return Conditions(
             text=torch.stack([embedding[text] for text in texts]),
-            action=torch.tensor([self.trained.sizes.action_index(action) for action in actions]),
+            action=torch.tensor([self.sizes.action_index(action) for action in actions]),
             given=torch.tensor([bool(text or action) for text, action in zip(texts, actions, strict=True)]),
             duration=torch.tensor(seconds, dtype=torch.float32) / self.max_duration_seconds,
         )
 
     def _diffusion(self, sampling: SamplingOptions) -> DiffusionConfig:
-        own = self.trained.network.diffusion
+        own = self.network.diffusion
         if own is not None:
             return own.adjusted(sampling.sampler, sampling.steps, sampling.guidance_scale)
         if sampling != SamplingOptions():

@@ -6,6 +6,7 @@ Decoded autoregressively as in JL2P, through a tree of body parts: limbs with th
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call
@@ -13,34 +14,32 @@ from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
 from motionkit.core.shapes import Float
 from motionkit.features.layout import SMPL22_LAYOUT
-from motionkit.training.config import Schedule
 from motionkit.training.networks import Conditions
-from peers.generating import GIVEN, GIVEN_MINILM, SLOW, PeerConfig, PeerStage, cosine
+from peers.generating import GIVEN, GIVEN_MINILM, SLOW, PeerConfig, PeerStage, cosine, dropping
 from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, first_poses, last_states
 from peers.motions import Lengths, MotionBatch, PoseSpace, Rows, SampleBatch, frames_within
 
 TRUNK = 4
+CHANGE_WEIGHT, MATCH_WEIGHT = 0.1, 0.1
 
 
 def body_parts(space: PoseSpace) -> list[list[int]]:
     """Indices into `native` vectors of right arm, left arm, right leg, left leg, and trunk (with the root)."""
-    vector, numbers = space.layout, list(range(space.num_features))
-    positions, rotations, velocities = (
-        numbers[block] for block in (vector.joint_positions, vector.joint_rotations, vector.joint_velocities)
+    vector, numbers = space.layout, np.arange(space.num_features)
+    # Positions and rotations are of all joints but the root.
+    each = np.hstack(
+        (
+            numbers[vector.joint_positions].reshape(-1, 3),
+            numbers[vector.joint_rotations].reshape(-1, 6),
+            numbers[vector.joint_velocities].reshape(-1, 3)[1:],
+        )
     )
-
-    def of(joints: tuple[int, ...]) -> list[int]:
-        """Indices of the joints of a chain, without its first joint, which belongs to another part."""
-        return [
-            number
-            for joint in joints[1:]
-            for block, first, size in ((positions, joint - 1, 3), (rotations, joint - 1, 6), (velocities, joint, 3))
-            for number in block[first * size : (first + 1) * size]
-        ]
-
-    right_leg, left_leg, spine, right_arm, left_arm = map(of, SMPL22_LAYOUT.chains)
-    contacts = numbers[vector.contacts]
-    root = numbers[: vector.root_height.stop] + velocities[:3]
+    # The first joint of a chain belongs to another part.
+    right_leg, left_leg, spine, right_arm, left_arm = (
+        each[np.array(joints[1:]) - 1].flatten().tolist() for joints in SMPL22_LAYOUT.chains
+    )
+    contacts = numbers[vector.contacts].tolist()
+    root = [*range(vector.root_height.stop), *numbers[vector.joint_velocities][:3].tolist()]
     return [right_arm, left_arm, right_leg + contacts[2:], left_leg + contacts[:2], root + spine]
 
 
@@ -55,8 +54,6 @@ class HierNetworkConfig:
     limb: int = 128
     width: int = 512
     critic: tuple[int, ...] = (64, 256, 128, 64)
-    change_weight: float = 0.1
-    match_weight: float = 0.1
     kept_weight: float = 1e-3
     critic_weight: float = 1e-3
     mean_first: float = 0.0
@@ -138,7 +135,7 @@ class Critic(nn.Module):
 
 
 class Hier(PeerNetwork):
-    """Two codes from a motion or a condition, decoded to poses."""
+    """Hier: two codes, one for each half of the body, from a motion or a condition, decoded to poses."""
 
     def __init__(self, config: HierNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
@@ -172,7 +169,7 @@ class Hier(PeerNetwork):
         real = torch.ones_like(fooled)
         adversarial = binary_cross_entropy_with_logits(fooled, real)
         critic = binary_cross_entropy_with_logits(judged, torch.cat((real, torch.zeros_like(real))))
-        loss = frames + config.change_weight * changes + config.match_weight * matched
+        loss = frames + CHANGE_WEIGHT * changes + MATCH_WEIGHT * matched
         loss = loss + config.kept_weight * kept + config.critic_weight * (adversarial + critic)
         return {"loss": loss, "frames": frames, "changes": changes, "matched": matched, "critic": critic}
 
@@ -183,17 +180,7 @@ class Hier(PeerNetwork):
         return rows
 
 
-HIER = PeerStage(
-    "hier",
-    "Hier: autoregressive poses from one code for each half of the body",
-    Hier,
-    nano=PeerConfig(
-        HierNetworkConfig(limb=64, width=160, mean_first=0.5), SLOW, GIVEN_MINILM, cosine(2400, 32, 3e-3), clip_norm=1.0
-    ),
-    paper=PeerConfig(
-        HierNetworkConfig(),
-        replace(SLOW, sampled_frames=32),
-        GIVEN,
-        Schedule(epochs=300, batch_size=32, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=1 / 300),
-    ),
-)
+SIZES = HierNetworkConfig(limb=64, width=160, mean_first=0.5)
+NANO = PeerConfig(SIZES, cosine(2400, 32, 3e-3), GIVEN_MINILM, SLOW, clip_norm=1.0)
+PAPER = PeerConfig(HierNetworkConfig(), dropping(300, 32), GIVEN, replace(SLOW, sampled_frames=32))
+HIER = PeerStage("hier", Hier, NANO, PAPER)

@@ -1,7 +1,7 @@
 """INR-MLP (Cervantes et al. 2022; PACerv/ImplicitMotion, models): an MLP of time and a per-motion latent code."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from motionkit.core.shapes import Float, Float64, Int64
 from motionkit.training.config import Schedule
 from motionkit.training.networks import NO_ACTION, kl_divergence, reparameterized
-from peers.generating import GIVEN, GIVEN_MINILM, PeerConfig, PeerStage, cosine
+from peers.generating import GIVEN_ACTION, GIVEN_MINILM, PeerConfig, PeerStage, cosine
 from peers.layers import ConditionVector, Latents, NetworkInputs, PeerNetwork, sinusoids
 from peers.motions import MotionBatch, MotionsConfig, Rows, SampleBatch
 
@@ -31,13 +31,12 @@ class InrMlpNetworkConfig:
     code: int = 128
     time_features: int = 256
     hidden: tuple[int, ...] = (1000, 500, 500, 200, 100)
-    root_weight: float = 1.0
     kl_weight: float = 1e-5
     reseeds: int = 10
 
 
 class InrMlp(PeerNetwork):
-    """A pose at a frame index, from a motion code and a condition code, each N(μ, σ²).
+    """INR-MLP: a pose at a frame index, from a motion code and a condition code, each N(μ, σ²).
 
     An auto-decoder: the codes of training motions are optimised alternately with the network.
     """
@@ -86,8 +85,7 @@ class InrMlp(PeerNetwork):
         errors = (predicted - batch.rows).square()[batch.mask]
         pose, root = errors.mean(), errors[:, ROOT].mean()
         kl = torch.stack([kl_divergence(*pair).sum(dim=1).mean() for pair in pairs]).sum()
-        loss = pose + self.config.root_weight * root + self.config.kl_weight * kl
-        return {"loss": loss, "pose": pose, "root": root, "kl": kl}
+        return {"loss": pose + root + self.config.kl_weight * kl, "pose": pose, "root": root, "kl": kl}
 
     def sample(self, batch: SampleBatch) -> Rows:
         """Standardised rows from codes of the mixture for the action and the length."""
@@ -174,24 +172,8 @@ def fit_mixture(
 
 
 # Whole windows, of which a step sees five frames.
-WHOLE_IN_5 = MotionsConfig(pose_vectors="field", crops="whole", scattered=True, sampled_frames=5)
-INR_MLP = PeerStage(
-    "inr-mlp",
-    "INR-MLP: an MLP of time and a latent code per training motion",
-    InrMlp,
-    nano=PeerConfig(
-        InrMlpNetworkConfig(reseeds=2),
-        WHOLE_IN_5,
-        GIVEN_MINILM,
-        cosine(12_000, 256, 1e-3),
-        clip_norm=2.0,
-        precision="auto",
-    ),
-    paper=PeerConfig(
-        InrMlpNetworkConfig(),
-        WHOLE_IN_5,
-        replace(GIVEN, kind="action"),
-        Schedule(epochs=10_000, batch_size=512, learning_rate=1e-3),
-        clip_norm=2.0,
-    ),
-)
+WHOLE_IN_5 = MotionsConfig(pose_vectors="field", crops="scattered", sampled_frames=5)
+SIZES, PUBLISHED = InrMlpNetworkConfig(reseeds=2), Schedule(epochs=10_000, batch_size=512, learning_rate=1e-3)
+NANO = PeerConfig(SIZES, cosine(12_000, 256, 1e-3), GIVEN_MINILM, WHOLE_IN_5, precision="auto", clip_norm=2.0)
+PAPER = PeerConfig(InrMlpNetworkConfig(), PUBLISHED, GIVEN_ACTION, WHOLE_IN_5, clip_norm=2.0)
+INR_MLP = PeerStage("inr-mlp", InrMlp, NANO, PAPER)

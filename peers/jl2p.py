@@ -10,8 +10,7 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from motionkit.core.shapes import Float
-from motionkit.training.config import Schedule
-from peers.generating import GIVEN, GIVEN_MINILM, SLOW, PeerConfig, PeerStage, cosine
+from peers.generating import GIVEN, GIVEN_MINILM, SLOW, PeerConfig, PeerStage, cosine, dropping
 from peers.layers import ConditionVector, Latents, NetworkInputs, PeerNetwork, first_poses, last_states
 from peers.motions import Lengths, MotionBatch, Rows, SampleBatch
 
@@ -30,7 +29,7 @@ class Jl2pNetworkConfig:
 
 
 class Jl2p(PeerNetwork):
-    """Frames or a condition → a code, the initial state of an autoregressive decoder."""
+    """JL2P: frames or a condition → a code, the initial state of an autoregressive decoder."""
 
     def __init__(self, config: Jl2pNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
@@ -73,21 +72,7 @@ class Jl2p(PeerNetwork):
         return self.decode(code, code.new_zeros(len(code), self.numbers), batch.frames)
 
 
-JL2P = PeerStage(
-    "jl2p",
-    "JL2P: autoregressive poses from a joint code of motions and texts",
-    Jl2p,
-    nano=PeerConfig(
-        Jl2pNetworkConfig(width=256, lengths=(2, 4, 8, 16, 32, 82), mean_first=0.5),
-        SLOW,
-        GIVEN_MINILM,
-        cosine(6000, 64, 1e-3),
-        clip_norm=1.0,
-    ),
-    paper=PeerConfig(
-        Jl2pNetworkConfig(),
-        replace(SLOW, sampled_frames=16),
-        GIVEN,
-        Schedule(epochs=1000, batch_size=100, learning_rate=1e-3, kind="steps", drop=0.99, drop_every=1 / 1000),
-    ),
-)
+SIZES = Jl2pNetworkConfig(width=256, lengths=(2, 4, 8, 16, 32, 82), mean_first=0.5)
+NANO = PeerConfig(SIZES, cosine(6000, 64, 1e-3), GIVEN_MINILM, SLOW, clip_norm=1.0)
+PAPER = PeerConfig(Jl2pNetworkConfig(), dropping(1000, 100), GIVEN, replace(SLOW, sampled_frames=16))
+JL2P = PeerStage("jl2p", Jl2p, NANO, PAPER)

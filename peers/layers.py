@@ -1,25 +1,21 @@
 """What the networks of generative systems share: their interface, layers, diffusion of motions and latents."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
-from motionkit.core.shapes import Bool, Float, Int64, Shaped
+from motionkit.core.shapes import Float, Int64, Shaped
 from motionkit.training import networks
 from motionkit.training.config import DiffusionConfig
-from motionkit.training.networks import ConditionalNetwork, Conditions, ConditionSizes, guided, through_long_skips
+from motionkit.training.networks import ConditionalNetwork, Conditions, ConditionSizes, guided
 from peers.motions import Lengths, Mask, MotionBatch, PoseSpace, Rows, SampleBatch
 
-Latents = Float[Tensor, "batch width"]
-"""One vector of each motion."""
-Steps = Int64[Tensor, "batch"]
-"""The diffusion step of each motion."""
+Latents = Float[Tensor, "batch width"]  # one vector of each motion
+Steps = Int64[Tensor, "batch"]  # the diffusion step of each motion
 Tokens = Float[Tensor, "batch tokens width"]
-Call = Callable[[nn.Module, Tensor], Tensor]
-"""Applies a layer to tokens."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +31,12 @@ class TransformerSizes:
 
 @dataclass(frozen=True, eq=False)
 class NetworkInputs:
-    """What a network is built for: pose space, conditions, number of training windows, networks of earlier stages."""
+    """What a network is built for: pose space, conditions, number of training windows, network of an earlier stage."""
 
     space: PoseSpace
     conditions: ConditionSizes
     num_windows: int
-    earlier: Mapping[str, nn.Module]
+    earlier: nn.Module | None = None
 
 
 class PeerNetwork(nn.Module):
@@ -73,22 +69,23 @@ def positions(tokens: Tokens) -> Float[Tensor, "tokens width"]:
 
 
 class ConditionVector(nn.Module):
-    """Embeds a text or action; zeros where no condition is given."""
+    """Embeds a text or action; zeros where none is given, or with `null_text` the vector of the null text."""
 
-    def __init__(self, sizes: ConditionSizes, width: int) -> None:
+    def __init__(self, sizes: ConditionSizes, width: int, *, null_text: bool = False) -> None:
         super().__init__()
-        self.width = width
+        self.width, self.null_text = width, null_text
         self.text = nn.Linear(sizes.text_dimension, width) if sizes.text_dimension else None
         self.actions = nn.Embedding(len(sizes.actions), width) if sizes.actions else None
 
     def forward(self, conditions: Conditions) -> Latents:
         """Embeddings of a batch of conditions."""
-        vector = torch.zeros((len(conditions.given), self.width), device=conditions.given.device)
+        given = conditions.given[:, None]
+        vector: Tensor = torch.zeros((len(given), self.width), device=given.device)
         if self.text is not None:
-            vector = vector + self.text(conditions.text)
-        if self.actions is not None:
-            vector = vector + self.actions(conditions.action.clamp(min=0))
-        return vector * conditions.given[:, None]
+            vector = self.text(conditions.text)
+        elif self.actions is not None:
+            vector = self.actions(conditions.action.clamp(min=0))
+        return vector if self.text is not None and self.null_text else vector * given
 
 
 def last_states(states: Float[Tensor, "batch frames width"], lengths: Lengths) -> Latents:
@@ -103,44 +100,22 @@ def first_poses(rows: Rows, mean_share: float, generator: torch.Generator) -> La
 
 
 def encoder_layer(sizes: TransformerSizes) -> nn.TransformerEncoderLayer:
-    """A layer of self-attention, post-norm, GELU."""
-    return nn.TransformerEncoderLayer(
-        sizes.width, sizes.heads, sizes.inner, sizes.dropout, activation="gelu", batch_first=True
-    )
+    """A layer of self-attention."""
+    return nn.TransformerEncoderLayer(*_arguments(sizes), batch_first=True)
+
+
+def decoder_layer(sizes: TransformerSizes) -> nn.TransformerDecoderLayer:
+    """A layer of self-attention and cross-attention."""
+    return nn.TransformerDecoderLayer(*_arguments(sizes), batch_first=True)
+
+
+def _arguments(sizes: TransformerSizes) -> tuple[int, int, int, float, str]:
+    return sizes.width, sizes.heads, sizes.inner, sizes.dropout, "gelu"
 
 
 def encoder(sizes: TransformerSizes) -> nn.TransformerEncoder:
     """Layers of self-attention."""
     return nn.TransformerEncoder(encoder_layer(sizes), sizes.layers, enable_nested_tensor=False)
-
-
-def decoder_layer(sizes: TransformerSizes) -> nn.TransformerDecoderLayer:
-    """A layer of self-attention and cross-attention, post-norm, GELU."""
-    return nn.TransformerDecoderLayer(
-        sizes.width, sizes.heads, sizes.inner, sizes.dropout, activation="gelu", batch_first=True
-    )
-
-
-def hidden_tokens(mask: Mask, first: int = 0) -> Bool[Tensor, "batch tokens"]:
-    """Torch's padding mask, True where a token is hidden: of `first` tokens, which are not, then of the frames."""
-    return nn.functional.pad(~mask, (first, 0))
-
-
-class LongSkips(nn.Module):
-    """Layers with long skip connections, then a layer norm (MLD, mld/models/operator/cross_attention.py)."""
-
-    def __init__(self, sizes: TransformerSizes, make: Callable[[TransformerSizes], nn.Module]) -> None:
-        super().__init__()
-        if sizes.layers % 2 == 0:
-            raise ValueError(f"long skips need an odd number of layers, not {sizes.layers}")
-        self.layers = nn.ModuleList(make(sizes) for _ in range(sizes.layers))
-        self.joins = nn.ModuleList(nn.Linear(2 * sizes.width, sizes.width) for _ in range(sizes.layers // 2))
-        self.norm = nn.LayerNorm(sizes.width)
-
-    def forward(self, tokens: Tokens, call: Call) -> Tokens:
-        """The tokens after all layers."""
-        normed: Tensor = self.norm(through_long_skips(tokens, self.layers, self.joins, call))
-        return normed
 
 
 def with_inputs(network: Callable[..., Tensor], *inputs: Tensor) -> ConditionalNetwork:

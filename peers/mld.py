@@ -1,32 +1,27 @@
 """MLD (Chen et al. 2023; ChenFengYe/motion-latent-diffusion, mld/models): diffusion in the latent space of a VAE."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import smooth_l1_loss
+from torch.nn.functional import pad, smooth_l1_loss
 
 from motionkit.core.shapes import Float
 from motionkit.training.config import DiffusionConfig, Schedule
-from motionkit.training.networks import Conditions, kl_divergence, reparameterized
+from motionkit.training.networks import Conditions, kl_divergence, reparameterized, through_long_skips
 from peers import layers
-from peers.generating import MINILM, UNCONDITIONAL, PeerConfig, PeerStage, cosine
-from peers.layers import Latents, LongSkips, NetworkInputs, PeerNetwork, Steps, TransformerSizes
-from peers.motions import ConditionsConfig, Mask, MotionBatch, Rows, SampleBatch
-
-VAE = "mld-vae"
+from peers.generating import CLIP, MINILM, UNCONDITIONAL, PeerConfig, PeerStage, cosine
+from peers.layers import ConditionVector, Latents, NetworkInputs, PeerNetwork, Steps, Tokens, TransformerSizes
+from peers.motions import Mask, MotionBatch, Rows, SampleBatch
 
 
 @dataclass(frozen=True)
 class MldVaeNetworkConfig:
-    """MLD's VAE: transformers with long skip connections and one latent of the transformer's width.
-
-    `longest` is the number of learned positions.
-    """
+    """MLD's VAE: transformers of these sizes and one latent of their width; `longest` counts learned positions."""
 
     transformer: TransformerSizes = TransformerSizes(9, 256, 4, 1024)
     longest: int = 500
-    joint_weight: float = 1.0
     kl_weight: float = 1e-4
 
 
@@ -43,8 +38,26 @@ class MldNetworkConfig:
     diffusion: DiffusionConfig = DiffusionConfig(sampling_spacing="leading")
 
 
+class LongSkips(nn.Module):
+    """Layers with long skip connections, then a layer norm (mld/models/operator/cross_attention.py)."""
+
+    def __init__(self, sizes: TransformerSizes, make: Callable[[TransformerSizes], nn.Module]) -> None:
+        super().__init__()
+        if sizes.layers % 2 == 0:
+            raise ValueError(f"long skips need an odd number of layers, not {sizes.layers}")
+        self.layers = nn.ModuleList(make(sizes) for _ in range(sizes.layers))
+        self.joins = nn.ModuleList(nn.Linear(2 * sizes.width, sizes.width) for _ in range(sizes.layers // 2))
+        self.norm = nn.LayerNorm(sizes.width)
+
+    def forward(self, tokens: Tokens, *memory: Tensor, **masks: Tensor) -> Tokens:
+        """The tokens after all layers, which get `memory` and torch's padding masks too."""
+        tokens = through_long_skips(tokens, self.layers, self.joins, lambda layer, each: layer(each, *memory, **masks))
+        normed: Tensor = self.norm(tokens)
+        return normed
+
+
 class MldVae(PeerNetwork):
-    """VAE with one latent per motion: transformers with long skip connections."""
+    """MLD, stage 1, a VAE with one latent per motion: transformers with long skip connections."""
 
     def __init__(self, config: MldVaeNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
@@ -61,18 +74,14 @@ class MldVae(PeerNetwork):
     def encode(self, rows: Rows, mask: Mask) -> tuple[Latents, Latents]:
         """μ and log σ²."""
         tokens = torch.cat((self.distribution.expand(len(rows), -1, -1), self.frame_in(rows)), dim=1)
-        hidden = layers.hidden_tokens(mask, first=2)
-        tokens = self.encoder(
-            tokens + self.encoder_positions[: tokens.shape[1]],
-            lambda layer, tokens: layer(tokens, src_key_padding_mask=hidden),
-        )
+        tokens = tokens + self.encoder_positions[: tokens.shape[1]]
+        tokens = self.encoder(tokens, src_key_padding_mask=pad(~mask, (2, 0)))
         return tokens[:, 0], tokens[:, 1]
 
     def decode(self, latents: Latents, mask: Mask) -> Rows:
         """Standardised rows, zeros outside the mask."""
-        memory, hidden = latents[:, None], ~mask
         queries = self.decoder_positions[: mask.shape[1]].expand(len(latents), -1, -1)
-        tokens = self.decoder(queries, lambda layer, tokens: layer(tokens, memory, tgt_key_padding_mask=hidden))
+        tokens = self.decoder(queries, latents[:, None], tgt_key_padding_mask=~mask)
         rows: Tensor = self.frame_out(tokens) * mask[..., None]
         return rows
 
@@ -84,44 +93,36 @@ class MldVae(PeerNetwork):
         features = smooth_l1_loss(predicted[mask], batch.rows[mask])
         joints = smooth_l1_loss(joints_of(predicted)[mask], joints_of(batch.rows)[mask])
         kl = kl_divergence(mean, log_variance).mean()
-        loss = features + self.config.joint_weight * joints + self.config.kl_weight * kl
+        loss = features + joints + self.config.kl_weight * kl
         return {"loss": loss, "features": features, "joints": joints, "kl": kl}
 
 
 class Mld(PeerNetwork):
-    """Predicts a latent's noise with a long-skip transformer over the tokens [latent, time, condition]."""
+    """MLD, stage 2: predicts a latent's noise with a long-skip transformer over [latent, time, condition]."""
 
     def __init__(self, config: MldNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
-        vae = inputs.earlier[VAE]
+        vae, width = inputs.earlier, config.transformer.width
         assert isinstance(vae, MldVae)
-        width = config.transformer.width
         if vae.width != width:
             raise ValueError(f"the VAE's latent has {vae.width} numbers, the denoiser's tokens {width}")
         self.config, self.diffusion, self.width = config, config.diffusion, width
         self.vae = (vae,)  # in a tuple: frozen, and saved with its own stage
         self.step_in = nn.Sequential(nn.Linear(config.time_features, width), nn.SiLU(), nn.Linear(width, width))
-        size, actions = inputs.conditions.text_dimension, inputs.conditions.actions
-        self.text_in = nn.Sequential(nn.ReLU(), nn.Linear(size, width)) if size else None
-        self.actions = nn.Embedding(len(actions), width) if actions else None
-        has_condition = self.text_in is not None or self.actions is not None
-        self.positions = nn.Parameter(torch.rand(3 if has_condition else 2, width))
+        self.condition = ConditionVector(inputs.conditions, width, null_text=True)
+        has_condition = bool(inputs.conditions.text_dimension or inputs.conditions.actions)
+        self.positions = nn.Parameter(torch.rand(2 + has_condition, width))
         self.layers = LongSkips(config.transformer, layers.encoder_layer)
 
-    def forward(
-        self, noisy: Float[Tensor, "batch 1 width"], steps: Steps, conditions: Conditions
-    ) -> Float[Tensor, "batch 1 width"]:
-        """ε of a noisy latent."""
+    def forward(self, noisy: Tokens, steps: Steps, conditions: Conditions) -> Float[Tensor, "batch 1 width"]:
+        """ε of a noisy latent, [batch, 1, width]."""
         # Sinusoids with cos before sin (diffusers' `Timesteps` with `flip_sin_to_cos`).
         half = self.config.time_features // 2
         angles = steps[:, None].to(torch.float32) * 10_000.0 ** -(torch.arange(half, device=steps.device) / half)
-        tokens = [noisy, self.step_in(torch.cat((angles.cos(), angles.sin()), dim=1))[:, None]]
-        if self.text_in is not None:
-            tokens.append(self.text_in(conditions.text)[:, None])
-        if self.actions is not None:
-            known = (conditions.action >= 0)[:, None]
-            tokens.append((self.actions(conditions.action.clamp(min=0)) * known)[:, None])
-        outputs: Tensor = self.layers(torch.cat(tokens, dim=1) + self.positions, lambda layer, tokens: layer(tokens))
+        time = self.step_in(torch.cat((angles.cos(), angles.sin()), dim=1))
+        condition = self.condition(replace(conditions, text=conditions.text.relu()))
+        tokens = torch.cat((noisy, time[:, None], condition[:, None]), dim=1)[:, : len(self.positions)]
+        outputs: Tensor = self.layers(tokens + self.positions)
         return outputs[:, :1]
 
     def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
@@ -139,40 +140,11 @@ class Mld(PeerNetwork):
         return self.vae[0].decode(latents[:, 0].float(), batch.mask)
 
 
-SMALL_SKIPS = TransformerSizes(5, 128, 2, 256, dropout=0.0)
-MLD_VAE = PeerStage(
-    "mld-vae",
-    "MLD, stage 1: a VAE of whole motions",
-    MldVae,
-    nano=PeerConfig(
-        MldVaeNetworkConfig(SMALL_SKIPS),
-        conditions=UNCONDITIONAL,
-        schedule=replace(cosine(1200, 16, 5e-4), warmup_fraction=0.1),
-        precision="auto",
-    ),
-    paper=PeerConfig(
-        MldVaeNetworkConfig(),
-        conditions=UNCONDITIONAL,
-        schedule=Schedule(epochs=6000, batch_size=128),
-        weight_decay=0.01,
-    ),
-)
-MLD = PeerStage(
-    "mld",
-    "MLD, stage 2: diffusion of the VAE's latents",
-    Mld,
-    nano=PeerConfig(
-        MldNetworkConfig(SMALL_SKIPS, time_features=128, noises=8),
-        conditions=replace(MINILM, nothing="empty"),
-        schedule=cosine(4000, 16, 3e-3),
-        ema_decay=0.995,
-        precision="auto",
-    ),
-    paper=PeerConfig(
-        MldNetworkConfig(),
-        conditions=ConditionsConfig(nothing="empty"),
-        schedule=Schedule(epochs=2000),
-        weight_decay=0.01,
-    ),
-    builds_on=(MLD_VAE,),
-)
+SKIPS, PUBLISHED_VAE = TransformerSizes(5, 128, 2, 256, dropout=0.0), Schedule(epochs=6000, batch_size=128)
+NANO_VAE = PeerConfig(MldVaeNetworkConfig(SKIPS), cosine(1200, 16, 5e-4, 0.1), UNCONDITIONAL, precision="auto")
+PAPER_VAE = PeerConfig(MldVaeNetworkConfig(), PUBLISHED_VAE, UNCONDITIONAL, weight_decay=0.01)
+MLD_VAE = PeerStage("mld-vae", MldVae, NANO_VAE, PAPER_VAE)
+SIZES, MINILM_OF_NOTHING = MldNetworkConfig(SKIPS, time_features=128, noises=8), replace(MINILM, nothing="empty")
+NANO = PeerConfig(SIZES, cosine(4000, 16, 3e-3), MINILM_OF_NOTHING, precision="auto", ema_decay=0.995)
+PAPER = PeerConfig(MldNetworkConfig(), Schedule(epochs=2000), replace(CLIP, nothing="empty"), weight_decay=0.01)
+MLD = PeerStage("mld", Mld, NANO, PAPER, builds_on=MLD_VAE)

@@ -24,23 +24,21 @@ from motionkit.training.config import DiffusionConfig, require_positive
 from motionkit.training.networks import Conditions, VectorScaling, WindowConditions, measure_scaling, window_conditions
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
 
-SHORTER_SHARE = 1 / 3
-Rows = Float[Tensor, "batch frames numbers"]
-"""Standardised pose vectors."""
-Lengths = Int64[Tensor, "batch"]
-"""Frames of each motion."""
-Mask = Bool[Tensor, "batch frames"]
-"""True for frames of a motion, False for padding."""
+# As in HumanML3D's data loaders.
+CROP_MULTIPLE, SHORTER_SHARE = 4, 1 / 3
+Rows = Float[Tensor, "batch frames numbers"]  # standardised pose vectors
+Lengths = Int64[Tensor, "batch"]  # frames of each motion
+Mask = Bool[Tensor, "batch frames"]  # True for frames of a motion, False for padding
 
 
 @dataclass(frozen=True)
 class MotionsConfig:
     """The training motions: pose vectors of crops at `fps`, of at most `max_frames` frames.
 
-    Windows begin every `stride_seconds` of a sequence and last at least `min_seconds`. As in HumanML3D's data loaders,
-    crop lengths are multiples of `crop_multiple` frames, one multiple shorter than fits with probability 1/3. With
-    `crops="whole"` a crop is its whole window. The network gets all frames of a crop, or `sampled_frames` of them (0:
-    all): consecutive ones from a random start, or with `scattered` random ones (with replacement).
+    Windows begin every `stride_seconds` of a sequence and last at least `min_seconds`. The lengths of `random` crops
+    are multiples of four frames, four shorter than fits with probability 1/3; a `whole` crop is its window. The network
+    gets all frames of a crop, or `sampled_frames` consecutive ones from a random start (0: all). With `scattered` it
+    gets as many random frames of the whole window, with replacement.
     """
 
     pose_vectors: PoseVectorsName = "native"
@@ -49,18 +47,16 @@ class MotionsConfig:
     min_seconds: float = 2.0
     stride_seconds: float = 2.0
     mirrored: bool = True
-    crop_multiple: int = 4
-    crops: Literal["random", "whole"] = "random"
+    crops: Literal["random", "whole", "scattered"] = "random"
     sampled_frames: int = 0
-    scattered: bool = False
     where: str = "split = 'train'"
 
     def __post_init__(self) -> None:
-        require_positive(self, "fps", "min_seconds", "stride_seconds", "crop_multiple")
-        if self.max_frames < 2:
-            raise ValueError(f"max_frames must be 2 or more, not {self.max_frames}")
-        if self.scattered and not self.sampled_frames:
-            raise ValueError("scattered needs sampled_frames above 0")
+        require_positive(self, "fps", "min_seconds", "stride_seconds")
+        if self.max_frames < CROP_MULTIPLE:
+            raise ValueError(f"max_frames must be {CROP_MULTIPLE} or more, not {self.max_frames}")
+        if self.crops == "scattered" and not self.sampled_frames:
+            raise ValueError("scattered crops need sampled_frames above 0")
 
     @property
     def framerate(self) -> Fraction:
@@ -77,15 +73,14 @@ class MotionsConfig:
 class ConditionsConfig:
     """What motions are conditioned on, dropped with probability `drop` for classifier-free guidance.
 
-    `nothing` is the null embedding: zeros, or the embedding of the empty text. `scaled` rescales unit-norm embeddings
-    to a root mean square of 1, which CLIP's unnormalised ones are near to.
+    `nothing` is the null embedding: zeros, or the embedding of the empty text. Other embeddings than CLIP's, of unit
+    norm, are scaled to a root mean square of 1, which CLIP's are near to.
     """
 
     kind: Literal["text", "action", "none"] = "text"
     text_encoder: str = "clip"
     drop: float = 0.1
     nothing: Literal["zeros", "empty"] = "zeros"
-    scaled: bool = False
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.drop < 1.0:
@@ -100,7 +95,7 @@ class ConditionsConfig:
     ) -> Float32[Tensor, "texts dimension"]:
         """Embeddings of these texts as the networks get them: the null embedding for empty ones."""
         vectors = torch.from_numpy(np.asarray(rows, dtype=np.float32)).clone()
-        if self.scaled:
+        if self.text_encoder != "clip":
             vectors *= vectors.shape[1] ** 0.5 / vectors.norm(dim=1, keepdim=True).clamp(min=1e-6)
         if self.nothing == "zeros":
             vectors[[row for row, text in enumerate(texts) if not text]] = 0.0
@@ -108,15 +103,11 @@ class ConditionsConfig:
 
     def check(self, has_captions: bool, has_actions: bool) -> None:
         """Raise `UsageError` if the motions lack what is needed."""
+        others = "or train on others or without (--set conditions.kind=text, action or none)"
         if self.kind == "text" and not has_captions:
-            raise UsageError(
-                "no training motion has a caption: ingest with --captions, or train on actions or without conditions "
-                "(--set conditions.kind=action, or none)"
-            )
+            raise UsageError(f"no training motion has a caption: ingest with --captions, {others}")
         if self.kind == "action" and not has_actions:
-            raise UsageError(
-                "no training motion has an action: train on texts or without (--set conditions.kind=text, or none)"
-            )
+            raise UsageError(f"no training motion has an action: ingest an index that has them, {others}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +131,7 @@ class PoseSpace:
         return SMPL22_LAYOUT.vector
 
     def joints(self, rows: Rows) -> Float[Tensor, "batch frames joints 3"]:
-        """Joint positions in metres from standardised `native` vectors, as `native.positions` does."""
+        """Joint positions in metres from standardised `native` vectors, as `native.positions` gives them."""
         layout, numbers = self.layout, self.scaling.invert(rows)
         angle = self.heading(numbers)
         path = self.path(numbers[..., layout.root_velocity], angle)
@@ -179,10 +170,9 @@ def frames_within(lengths: Lengths, frames: int) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class MotionBatch:
-    """Crops of motions, zero-padded, for training step `step` (from 0) of `steps`.
+    """Crops of motions, zero-padded, for training step `step` (from 0), after the share `progress` of all steps.
 
-    `window` is each crop's window, `frames` are the indices of its rows in it; `mask` is True for valid frames.
-    Randomness comes from `generator` (CPU).
+    `window` is each crop's window, `frames` are the indices of its rows in it. Randomness comes from `generator` (CPU).
     """
 
     rows: Rows
@@ -193,19 +183,14 @@ class MotionBatch:
     frames: Int64[Tensor, "batch frames"]
     generator: torch.Generator
     step: int = 0
-    steps: int = 1
-
-    @property
-    def progress(self) -> float:
-        """The share of the training that is done."""
-        return self.step / self.steps
+    progress: float = 0.0
 
     def at_step(self, step: int, steps: int, device: torch.device) -> "MotionBatch":
         """The batch of this step, on a device."""
         tensors: dict[str, Any] = {
             name: each.to(device) for name, each in vars(self).items() if isinstance(each, Tensor | Conditions)
         }
-        return replace(self, step=step, steps=steps, **tensors)
+        return replace(self, step=step, progress=step / steps, **tensors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,9 +254,8 @@ class MotionCorpus:
         last_tick = self.last_tick[rows.numpy()]
         lengths = available = last_tick + 1
         if self.config.crops == "random":
-            unit = self.config.crop_multiple
-            units = available // unit - (chance[0].numpy() < SHORTER_SHARE)
-            lengths = np.clip(units * unit, min(unit, self.config.max_frames), available)
+            units = available // CROP_MULTIPLE - (chance[0].numpy() < SHORTER_SHARE)
+            lengths = np.clip(units * CROP_MULTIPLE, CROP_MULTIPLE, available)
         start = np.floor(chance[1].numpy() * (available - lengths + 1)).astype(np.int64)
         frames, counts = self._sampled_frames(torch.from_numpy(lengths), generator)
         ticks = np.minimum(start[:, None] + frames.numpy(), last_tick[:, None])
@@ -289,7 +273,7 @@ class MotionCorpus:
         most = self.config.sampled_frames
         if not most:
             return torch.arange(int(lengths.max())).expand(len(lengths), -1), lengths
-        if self.config.scattered:
+        if self.config.crops == "scattered":
             chance = torch.rand((len(lengths), most), generator=generator, dtype=torch.float64)
             return (chance * lengths[:, None]).to(torch.int64), torch.full((len(lengths),), most)
         counts = lengths.clamp(max=most)

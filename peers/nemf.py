@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import roma
 import torch
@@ -18,9 +17,11 @@ from peers.generating import UNCONDITIONAL, PeerConfig, PeerStage, cosine
 from peers.layers import NetworkInputs, PeerNetwork
 from peers.motions import Lengths, MotionBatch, MotionsConfig, PoseSpace, Rows, SampleBatch, frames_within
 
-PATH = "nemf-path"
 ROOT, CONTACTS = 3, 4  # numbers: velocity in x and z, height; feet
 ORIENTATION = 6  # numbers: two columns of a rotation matrix
+CONTACT_WEIGHT, JOINT_WEIGHT = 0.5, 10.0
+Latents = Float[Tensor, "batch _"]
+Gaussian = tuple[Latents, Latents]  # μ and log σ²
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,6 @@ class NemfPathNetworkConfig:
 
     widths: tuple[int, ...] = (512, 512, 512, 512, 256, 128)
     kernel: int = 15
-    contact_weight: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,8 @@ class NemfNetworkConfig:
     width: int = 1024
     local_layers: int = 8
     turn_layers: int = 3
-    joint_weight: float = 10.0
     kl_weight: float = 1e-5
     kl_cycles: int = 20
-
-    def __post_init__(self) -> None:
-        if self.frames % 2 ** len(self.widths):
-            raise ValueError(f"frames must be a multiple of {2 ** len(self.widths)}, not {self.frames}")
 
 
 class Residual(nn.Module):
@@ -90,19 +85,17 @@ def with_velocities(rows: Rows, lengths: Lengths, space: PoseSpace) -> Float[Ten
 
 
 class NemfPath(PeerNetwork):
-    """NeMF's global motion predictor: root velocity, height and contacts from the motion relative to the root."""
+    """NeMF, stage 1: root velocity, height and contacts from the motion relative to the root."""
 
     def __init__(self, config: NemfPathNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
-        self.config, self.space, layout = config, inputs.space, inputs.space.layout
+        self.space, layout = inputs.space, inputs.space.layout
         poses = layout.joint_rotations.stop - layout.joint_positions.start
         layers = residuals((2 * poses + 1, *config.widths, ROOT + CONTACTS), config.kernel, nn.PReLU)
         layers[-1].activation = nn.Identity()
         self.layers = nn.Sequential(*layers)
 
-    def forward(
-        self, rows: Rows, lengths: Lengths
-    ) -> tuple[Float[Tensor, "batch frames 3"], Float[Tensor, "batch frames 4"]]:
+    def forward(self, rows: Rows, lengths: Lengths) -> tuple[Tensor, Tensor]:
         """Velocity in x and z and height, in their own units, and contact logits, from standardised rows.
 
         Only yaw velocity, joints and rotations of a row are used.
@@ -127,7 +120,7 @@ class NemfPath(PeerNetwork):
         path = l1_loss(space.path(root[..., :2], angle)[mask], space.path(truth[..., :2], angle)[mask])
         true_contacts = numbers[..., layout.contacts][mask].clamp(0, 1)
         touch = binary_cross_entropy_with_logits(contacts[mask], true_contacts)
-        loss = velocity + height + path + self.config.contact_weight * touch
+        loss = velocity + height + path + CONTACT_WEIGHT * touch
         return {"loss": loss, "velocity": velocity, "height": height, "path": path, "contacts": touch}
 
 
@@ -140,19 +133,21 @@ class ClipEncoder(nn.Module):
         flat = widths[-1] * (frames >> len(widths))
         self.mean, self.log_variance = nn.Linear(flat, latent), nn.Linear(flat, latent)
 
-    def forward(self, clips: Float[Tensor, "batch frames inputs"]) -> tuple[Tensor, Tensor]:
+    def forward(self, clips: Float[Tensor, "batch frames inputs"]) -> Gaussian:
         """μ and log σ²."""
         flat = self.layers(clips.transpose(1, 2)).flatten(1)
         return self.mean(flat), self.log_variance(flat)
 
 
 class Nemf(PeerNetwork):
-    """Poses at any time from a local latent; the root's orientation from a second latent as well."""
+    """NeMF, stage 2: poses at any time from a local latent; the root's orientation from a second latent as well."""
 
     def __init__(self, config: NemfNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
-        path = inputs.earlier[PATH]
+        path = inputs.earlier
         assert isinstance(path, NemfPath)
+        if inputs.conditions.text_dimension or inputs.conditions.actions:
+            raise UsageError("NeMF takes no texts and no actions: conditions.kind=none")
         self.path = (path,)  # in a tuple: frozen, and saved with its own stage
         self.config, self.space, layout = config, inputs.space, inputs.space.layout
         self.num_positions = layout.joint_positions.stop - layout.joint_positions.start
@@ -161,17 +156,18 @@ class Nemf(PeerNetwork):
         self.local_encoder = ClipEncoder(2 * poses, config.widths, config.kernel, config.frames, local)
         self.turn_encoder = ClipEncoder(ORIENTATION, config.widths, config.kernel, config.frames, turns)
         size = 2 * config.frequencies + local
-        skipped = [0] + [config.width] * (config.local_layers - 1)
-        self.local_layers = nn.ModuleList(_field_layer(own + size, config.width) for own in skipped)
-        self.turn_layers = nn.ModuleList(
-            _field_layer(config.width + size + turns, config.width) for _ in range(config.turn_layers)
-        )
-        self.pose_out, self.turn_out = nn.Linear(config.width, poses), nn.Linear(config.width, ORIENTATION)
+        width = config.width
 
-    def forward(
-        self, count: int, local: Float[Tensor, "batch local"], turns: Float[Tensor, "batch turns"]
-    ) -> tuple[Float[Tensor, "batch frames positions"], Float[Tensor, "batch frames rotations"], Tensor]:
-        """Standardised joints, 6D joint rotations, and the 6D orientation of the root."""
+        def field_layers(*inputs: int) -> nn.ModuleList:
+            each = (nn.Sequential(nn.Linear(size, width), nn.LayerNorm(width), nn.ReLU()) for size in inputs)
+            return nn.ModuleList(each)
+
+        self.local_layers = field_layers(size, *[width + size] * (config.local_layers - 1))
+        self.turn_layers = field_layers(*[width + size + turns] * config.turn_layers)
+        self.pose_out, self.turn_out = nn.Linear(width, poses), nn.Linear(width, ORIENTATION)
+
+    def forward(self, count: int, local: Latents, turns: Latents) -> tuple[Tensor, Tensor, Tensor]:
+        """Of so many frames: standardised joints, 6D joint rotations, and the 6D orientation of the root."""
         times = 2 * torch.arange(count, device=local.device) / self.config.frames - 1
         angles = times[:, None] * 2.0 ** torch.arange(self.config.frequencies, device=local.device)
         waves = torch.stack((angles.sin(), angles.cos()), dim=-1).flatten(1)
@@ -179,13 +175,13 @@ class Nemf(PeerNetwork):
         hidden = inputs[..., :0]
         for layer in self.local_layers:
             hidden = layer(torch.cat((hidden, inputs), dim=-1))
-        pose = self.pose_out(hidden)
+        positions, rotations = self.pose_out(hidden).tensor_split([self.num_positions], dim=-1)
         inputs = torch.cat((inputs, turns[:, None].expand(-1, count, -1)), dim=-1)
         for layer in self.turn_layers:
             hidden = layer(torch.cat((hidden, inputs), dim=-1))
-        return pose[..., : self.num_positions], pose[..., self.num_positions :], self.turn_out(hidden)
+        return positions, rotations, self.turn_out(hidden)
 
-    def encode(self, rows: Rows, lengths: Lengths) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
+    def encode(self, rows: Rows, lengths: Lengths) -> tuple[Gaussian, Gaussian]:
         """μ and log σ² of both latents; frames after a motion's end are zeros."""
         if rows.shape[1] > self.config.frames:
             raise UsageError(f"a motion of {rows.shape[1]} frames is longer than network.frames={self.config.frames}")
@@ -195,10 +191,7 @@ class Nemf(PeerNetwork):
         return self.local_encoder(poses), self.turn_encoder(_columns(self._orientation(rows)) * mask)
 
     def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
-        """Geodesic errors of orientations and rotations, weighted L1 of joints in metres, and KL of both latents.
-
-        KL is annealed in cycles: its weight grows in the first half of each.
-        """
+        """Geodesic errors of orientations and rotations, L1 of joints in metres, and KL of both latents, annealed."""
         config, layout, mask, scaling = self.config, self.space.layout, batch.mask, self.space.scaling
         latents = self.encode(batch.rows, batch.lengths)
         drawn = (reparameterized(*each, batch.generator) for each in latents)
@@ -210,10 +203,10 @@ class Nemf(PeerNetwork):
         root = _angles(_matrices(turns[mask])[:, 0], self._orientation(batch.rows)[mask]).mean()
         kl = torch.stack([kl_divergence(*each).sum(dim=1).mean() for each in latents]).sum()
         weight = config.kl_weight * min(1.0, 0.01 + 2 * (batch.progress * config.kl_cycles % 1))
-        loss = root + bones + config.joint_weight * joints + weight * kl
+        loss = root + bones + JOINT_WEIGHT * joints + weight * kl
         return {"loss": loss, "root": root, "bones": bones, "joints": joints, "kl": kl}
 
-    def rows(self, local: Float[Tensor, "batch local"], turns: Float[Tensor, "batch turns"], lengths: Lengths) -> Rows:
+    def rows(self, local: Latents, turns: Latents, lengths: Lengths) -> Rows:
         """Standardised rows from latents, with a predicted path; joint velocities are set to the mean."""
         layout, scaling, fps = self.space.layout, self.space.scaling, float(self.space.fps)
         count = int(lengths.max())
@@ -251,10 +244,6 @@ class Nemf(PeerNetwork):
         return matrices
 
 
-def _field_layer(inputs: int, width: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(inputs, width), nn.LayerNorm(width), nn.ReLU())
-
-
 def _matrices(columns: Float[Tensor, "*poses numbers"]) -> Float[Tensor, "*poses joints 3 3"]:
     """Rotation matrices from the 6D representation."""
     matrices: Tensor = roma.special_gramschmidt(
@@ -276,35 +265,11 @@ def _angles(predicted: Float[Tensor, "*some 3 3"], true: Float[Tensor, "*some 3 
 
 CLIPS = MotionsConfig(fps=30.0, max_frames=128, min_seconds=128 / 30)
 LONG = MotionsConfig(fps=30.0, max_frames=294)
-PUBLISHED: dict[str, Any] = {
-    "motions": CLIPS,
-    "conditions": UNCONDITIONAL,
-    "schedule": Schedule(epochs=1000, batch_size=16),
-    "weight_decay": 1e-4,
-}
-NEMF_PATH = PeerStage(
-    PATH,
-    "NeMF, stage 1: the root's path from the body's motion",
-    NemfPath,
-    nano=PeerConfig(
-        NemfPathNetworkConfig(widths=(64, 64, 64)), LONG, UNCONDITIONAL, cosine(2200, 16, 1e-3), precision="auto"
-    ),
-    paper=PeerConfig(NemfPathNetworkConfig(), **PUBLISHED),
-    share=0.2,
-)
-NEMF = PeerStage(
-    "nemf",
-    "NeMF, stage 2: a neural field over time, and a VAE of its latents",
-    Nemf,
-    nano=PeerConfig(
-        NemfNetworkConfig(304, (64, 96, 128, 128), local_latent=128, turn_latent=32, width=192, kl_cycles=4),
-        LONG,
-        UNCONDITIONAL,
-        cosine(2400, 32, 1e-3),
-        precision="auto",
-    ),
-    paper=PeerConfig(NemfNetworkConfig(), **PUBLISHED),
-    builds_on=(NEMF_PATH,),
-    share=0.8,
-    conditional=False,
-)
+PUBLISHED, SMALL_PATH = Schedule(epochs=1000, batch_size=16), NemfPathNetworkConfig(widths=(64, 64, 64))
+NANO_PATH = PeerConfig(SMALL_PATH, cosine(2200, 16, 1e-3), UNCONDITIONAL, LONG, precision="auto")
+PAPER_PATH = PeerConfig(NemfPathNetworkConfig(), PUBLISHED, UNCONDITIONAL, CLIPS, weight_decay=1e-4)
+NEMF_PATH = PeerStage("nemf-path", NemfPath, NANO_PATH, PAPER_PATH, share=0.2)
+SMALL = NemfNetworkConfig(304, (64, 96, 128, 128), local_latent=128, turn_latent=32, width=192, kl_cycles=4)
+NANO = PeerConfig(SMALL, cosine(2400, 32, 1e-3), UNCONDITIONAL, LONG, precision="auto")
+PAPER = PeerConfig(NemfNetworkConfig(), PUBLISHED, UNCONDITIONAL, CLIPS, weight_decay=1e-4)
+NEMF = PeerStage("nemf", Nemf, NANO, PAPER, builds_on=NEMF_PATH, share=0.8)

@@ -6,45 +6,34 @@ from typing import Any
 from motionkit.core.plugins import lazily
 from motionkit.training.run import Loader, Task
 
-# Title, and the declaration of each stage; the last stage loads the system.
-GENERATING = {
-    "mdm": ("MDM", {"mdm": "mdm:MDM"}),
-    "mdm-50": ("MDM, 50 steps", {"mdm-50": "mdm:MDM_50"}),
-    "mld": ("MLD", {"mld-vae": "mld:MLD_VAE", "mld": "mld:MLD"}),
-    "inr-mlp": ("INR-MLP", {"inr-mlp": "inr_mlp:INR_MLP"}),
-    "actor": ("ACTOR", {"actor": "actor:ACTOR"}),
-    "t2m": ("T2M", {"t2m-autoencoder": "t2m:T2M_AUTOENCODER", "t2m": "t2m:T2M"}),
-    "camdm": ("CAMDM", {"camdm": "camdm:CAMDM"}),
-    "flow": ("ACMDM-S (flow)", {"flow": "flow:FLOW"}),
-    "jl2p": ("JL2P", {"jl2p": "jl2p:JL2P"}),
-    "hier": ("Hier", {"hier": "hier:HIER"}),
-    "nemf": ("NeMF", {"nemf-path": "nemf:NEMF_PATH", "nemf": "nemf:NEMF"}),
+# Title, task (None: generation), module and stages. A stage's declaration has its name in capitals; the last one loads.
+SYSTEMS: dict[str, tuple[str, Task | None, str, tuple[str, ...]]] = {
+    "liif": ("LIIF", "interpolation", "super_resolution", ("liif",)),
+    "meta-sr": ("Meta-SR", "interpolation", "super_resolution", ("meta-sr",)),
+    "a-liif": ("A-LIIF", "interpolation", "super_resolution", ("a-liif",)),
+    "lmf": ("LMF", "interpolation", "super_resolution", ("lmf",)),
+    "delta-interp": ("Δ-Interp", "inbetweening", "delta_interp", ("delta-interp",)),
+    "ts-former": ("TS-Former", "inbetweening", "ts_former", ("ts-former",)),
+    "mdm": ("MDM", None, "mdm", ("mdm",)),
+    "mdm-50": ("MDM, 50 steps", None, "mdm", ("mdm-50",)),
+    "mld": ("MLD", None, "mld", ("mld-vae", "mld")),
+    "inr-mlp": ("INR-MLP", None, "inr_mlp", ("inr-mlp",)),
+    "actor": ("ACTOR", None, "actor", ("actor",)),
+    "t2m": ("T2M", None, "t2m", ("t2m-autoencoder", "t2m")),
+    "camdm": ("CAMDM", None, "camdm", ("camdm",)),
+    "flow": ("ACMDM-S (flow)", None, "flow", ("flow",)),
+    "jl2p": ("JL2P", None, "jl2p", ("jl2p",)),
+    "hier": ("Hier", None, "hier", ("hier",)),
+    "nemf": ("NeMF", None, "nemf", ("nemf-path", "nemf")),
 }
-INTERPOLATING = {
-    "liif": ("LIIF", {"liif": "super_resolution:LIIF"}),
-    "meta-sr": ("Meta-SR", {"meta-sr": "super_resolution:META_SR"}),
-    "a-liif": ("A-LIIF", {"a-liif": "super_resolution:A_LIIF"}),
-    "lmf": ("LMF", {"lmf": "super_resolution:LMF"}),
-}
-INBETWEENING = {
-    "delta-interp": ("Δ-Interp", {"delta-interp": "delta_interp:DELTA_INTERP"}),
-    "ts-former": ("TS-Former", {"ts-former": "ts_former:TS_FORMER"}),
-}
-
-
-def _loader(title: str, stages: dict[str, str], *tasks: Task) -> Loader[Any]:
-    place = f"peers.{list(stages.values())[-1]}.load"
-    return Loader(title, tuple(stages), partial(lazily(place), title=title), tasks=tasks)
-
-
-STAGES = {
-    stage: f"peers.{place}.stage"
-    for systems in (INTERPOLATING, INBETWEENING, GENERATING)
-    for _, stages in systems.values()
-    for stage, place in stages.items()
-}
-MODELS = {name: _loader(*system) for name, system in GENERATING.items()}
-ENCODERS = {
-    **{name: _loader(*system, "interpolation") for name, system in INTERPOLATING.items()},
-    **{name: _loader(*system, "inbetweening") for name, system in INBETWEENING.items()},
-}
+STAGES: dict[str, str] = {}
+MODELS: dict[str, Loader[Any]] = {}
+ENCODERS: dict[str, Loader[Any]] = {}
+for name, (title, task, module, stages) in SYSTEMS.items():
+    places = {stage: f"peers.{module}:{stage.upper().replace('-', '_')}" for stage in stages}
+    STAGES |= {stage: f"{place}.stage" for stage, place in places.items()}
+    load = partial(lazily(f"{places[stages[-1]]}.load"), title=title)
+    if task is None:
+        MODELS[name] = Loader(title, stages, load)
+    else:
+        ENCODERS[name] = Loader(title, stages, load, tasks=(task,))

@@ -17,7 +17,7 @@ from motionkit.training.config import Schedule
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import TemporalSettings, base_training, nano_training
 from pahires.temporal.system import TemporalSystem
-from peers.completing import INTERPOLATION, Neighbours, PeerConfig, completing_system, gathered, neighbours, on_task
+from peers.completing import INTERPOLATION, Neighbours, completing_system, gathered, neighbours, on_task
 
 KERNEL = 3
 # Every s-th frame, s not whole, gives gaps of ⌊s⌋ and ⌈s⌉; and times are rounded.
@@ -86,11 +86,11 @@ def even_neighbours(window: ObservedWindow) -> Neighbours:
     Gaps may differ by a factor of two, as those of every 1.2-th frame do.
     """
     gaps = torch.diff(window.times_seconds, dim=1)
-    if gaps.numel() and float((gaps.amax(dim=1) / gaps.amin(dim=1)).max()) > LARGEST_GAP_RATIO:
-        worst = gaps[torch.argmax(gaps.amax(dim=1) / gaps.amin(dim=1))]
+    uneven = gaps[gaps.amax(dim=1) > LARGEST_GAP_RATIO * gaps.amin(dim=1)] if gaps.numel() else gaps
+    if uneven.numel():
         raise ValueError(
             f"this model needs evenly spaced frames, but the gaps between those given range from "
-            f"{float(worst.min()):.4f} to {float(worst.max()):.4f} s: use frames of one framerate, or "
+            f"{float(uneven[0].min()):.4f} to {float(uneven[0].max()):.4f} s: use frames of one framerate, or "
             f"a model that reads their times (pahires, delta-interp, ts-former)"
         )
     return neighbours(window)
@@ -182,10 +182,7 @@ def _each_by_its_matrix(
 
 @dataclass(frozen=True)
 class ALiifNetworkConfig:
-    """A-LIIF: `basis` MLPs of `layers` hidden layers of `width`, and the expansion network that mixes them.
-
-    Published width 16, for three colour channels; 64, the width of the features, for pose vectors of 135 numbers.
-    """
+    """A-LIIF: `basis` MLPs of `layers` hidden layers of `width`, and the expansion network that mixes them."""
 
     encoder: EdsrConfig = EdsrConfig()
     width: int = 16
@@ -239,17 +236,12 @@ class MixedMlp(nn.Module):
 
 @dataclass(frozen=True)
 class LmfNetworkConfig:
-    """LMF: a render MLP of `layers` hidden layers of `width`; `largest_scale` is the training's.
-
-    Published width 16, for three colour channels; 64, the width of the features, for pose vectors of 135 numbers. The
-    latent MLP has one hidden layer of `latent_hidden` and (2·layers + 1)·width outputs, 208 as published.
-    """
+    """LMF: a render MLP of `layers` hidden layers of `width`, and a latent MLP with one of `latent_hidden`."""
 
     encoder: EdsrConfig = EdsrConfig()
     width: int = 16
     layers: int = 6
     latent_hidden: int = 208
-    largest_scale: float = 4.0
 
 
 class Lmf(nn.Module):
@@ -272,7 +264,7 @@ class Lmf(nn.Module):
         """Normalised pose vectors at the queries."""
         near, depth = even_neighbours(window), self.config.layers
         # LMF's rule for larger scales: the cell 1/s times max(s/largest, 1), no smaller than in training.
-        cell = near.cell * (1 / (near.cell * self.config.largest_scale)).clamp(min=1)
+        cell = near.cell * (1 / (near.cell * INTERPOLATION.largest_factor)).clamp(min=1)
         codes = unfolded(self.encoder(window.frames))
         at_frames = 2 * cell[:, None, None].expand(*codes.shape[:2], 1)
         modulations = gathered(self.latent(torch.cat((codes, at_frames), dim=-1)), near.rows)
@@ -283,67 +275,27 @@ class Lmf(nn.Module):
         return near.mixed(self.output(hidden))
 
 
-@dataclass(frozen=True)
-class GridConfig(PeerConfig):
-    """The configuration of a network that needs evenly spaced frames."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.training.tasks.gap or self.training.tasks.scattered:
-            raise ValueError(
-                "this model needs evenly spaced frames: training.tasks.gap and training.tasks.scattered must be 0"
-            )
-
-
 # Adam at 1e-4, halved every 200 of 1,000 epochs, batches of 16 windows of 48 frames.
 PAPER = TemporalSettings(
     tasks=replace(INTERPOLATION, num_frames=48, num_queries=48),
     schedule=Schedule(epochs=1000, batch_size=16, learning_rate=1e-4, kind="steps", warmup_fraction=0.02),
 )
-SMALL = EdsrConfig(blocks=4)
-# For images of three colours 16 is published; for pose vectors of 135 numbers the width of the features is fair.
-FAIR_WIDTH = 64
 
 
-def _system(
-    name: str, description: str, network: type[nn.Module], nano: object, paper: object, base: object = None
-) -> TemporalSystem:
+def _system(name: str, network: type[nn.Module], nano: object, base: object, paper: object) -> TemporalSystem:
     recipes = {
         # At 1e-3 LMF's scales, multiplied through six layers, diverge: the plain form fails within 500 steps.
         "nano": (nano, on_task(INTERPOLATION, nano_training(), 4e-4 if network is Lmf else None)),
-        "base": (base or paper, on_task(INTERPOLATION, base_training())),
+        "base": (base, on_task(INTERPOLATION, base_training())),
         "paper": (paper, PAPER),
     }
-    return completing_system(name, description, network, recipes, GridConfig)
+    return completing_system(name, network, recipes)
 
 
-LIIF = _system(
-    "liif",
-    "LIIF over time: a local MLP around each frame (PA-HiRes' peer)",
-    Liif,
-    LiifNetworkConfig(SMALL, hidden=128),
-    LiifNetworkConfig(),
-)
-META_SR = _system(
-    "meta-sr",
-    "Meta-SR over time: predicted weights for every position between frames",
-    MetaSr,
-    MetaSrNetworkConfig(SMALL, hidden=64),
-    MetaSrNetworkConfig(),
-)
-A_LIIF = _system(
-    "a-liif",
-    "A-LIIF over time: LIIF with a mixture of MLPs at every instant",
-    ALiif,
-    ALiifNetworkConfig(SMALL, width=FAIR_WIDTH, basis=4, expansion_hidden=64),
-    ALiifNetworkConfig(),
-    ALiifNetworkConfig(width=FAIR_WIDTH),
-)
-LMF = _system(
-    "lmf",
-    "LMF over time: frames modulate a small MLP",
-    Lmf,
-    LmfNetworkConfig(SMALL, width=FAIR_WIDTH),
-    LmfNetworkConfig(),
-    LmfNetworkConfig(width=FAIR_WIDTH),
-)
+SMALL = EdsrConfig(blocks=4)
+LIIF = _system("liif", Liif, LiifNetworkConfig(SMALL, hidden=128), LiifNetworkConfig(), LiifNetworkConfig())
+META_SR = _system("meta-sr", MetaSr, MetaSrNetworkConfig(SMALL, 64), MetaSrNetworkConfig(), MetaSrNetworkConfig())
+# For images of three colours a width of 16 is published; for pose vectors of 135 numbers that of the features is fair.
+A_LIIF_SMALL = ALiifNetworkConfig(SMALL, width=64, basis=4, expansion_hidden=64)
+A_LIIF = _system("a-liif", ALiif, A_LIIF_SMALL, ALiifNetworkConfig(width=64), ALiifNetworkConfig())
+LMF = _system("lmf", Lmf, LmfNetworkConfig(SMALL, width=64), LmfNetworkConfig(width=64), LmfNetworkConfig())

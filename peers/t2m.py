@@ -7,17 +7,17 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import l1_loss, smooth_l1_loss
 
-from motionkit.core.shapes import Float, Int64
+from motionkit.core.shapes import Float
 from motionkit.training.config import Schedule
 from motionkit.training.networks import Conditions
 from peers.generating import GIVEN, GIVEN_MINILM, UNCONDITIONAL, PeerConfig, PeerStage, cosine
-from peers.layers import ConditionVector, NetworkInputs, PeerNetwork, sinusoids
+from peers.layers import ConditionVector, Latents, NetworkInputs, PeerNetwork, sinusoids
 from peers.motions import Lengths, MotionBatch, MotionsConfig, Rows, SampleBatch, frames_within
 
-AUTOENCODER = "t2m-autoencoder"
 SNIPPET = 4  # frames
 CONTACTS = 4  # the last features of a pose, which the encoder does not see
 SLOPE = 0.2
+SIZE_WEIGHT, CHANGE_WEIGHT = 1e-3, 1e-3
 Snippets = Float[Tensor, "batch snippets size"]
 
 
@@ -27,8 +27,6 @@ class T2mAutoencoderNetworkConfig:
 
     width: int = 512
     dropout: float = 0.2
-    size_weight: float = 1e-3
-    change_weight: float = 1e-3
 
 
 @dataclass(frozen=True)
@@ -49,12 +47,12 @@ class T2mNetworkConfig:
 
 
 class T2mAutoencoder(PeerNetwork):
-    """Autoencoder: four frames ↔ one snippet."""
+    """T2M, stage 1: an autoencoder, four frames ↔ one snippet."""
 
     def __init__(self, config: T2mAutoencoderNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
         numbers, width = inputs.space.num_features, config.width
-        self.config, self.width = config, width
+        self.width, self.numbers = width, numbers
         self.encoder = nn.Sequential(
             nn.Conv1d(numbers - CONTACTS, width, 4, 2, 1),
             nn.Dropout(config.dropout),
@@ -62,58 +60,45 @@ class T2mAutoencoder(PeerNetwork):
             nn.Conv1d(width, width, 4, 2, 1),
             nn.Dropout(config.dropout),
             nn.LeakyReLU(SLOPE),
+            nn.Conv1d(width, width, 1),
         )
-        self.encoder_out = nn.Linear(width, width)
-        self.decoder = SnippetDecoder(width, numbers)
+        self.decoder = nn.Sequential(
+            nn.ConvTranspose1d(width, width, 4, 2, 1),
+            nn.LeakyReLU(SLOPE),
+            nn.ConvTranspose1d(width, numbers, 4, 2, 1),
+            nn.LeakyReLU(SLOPE),
+            nn.Conv1d(numbers, numbers, 1),
+        )
 
     def encode(self, rows: Rows) -> Snippets:
         """Snippets of motions whose lengths are multiples of four frames."""
-        hidden = self.encoder(rows[..., :-CONTACTS].transpose(1, 2)).transpose(1, 2)
-        snippets: Tensor = self.encoder_out(hidden)
-        return snippets
+        return _by_channels(self.encoder, rows[..., :-CONTACTS])
 
     def losses(self, batch: MotionBatch) -> dict[str, Tensor]:
         """L1 of valid frames, and L1 penalties on snippets and on their differences."""
         rows, counts = whole_snippets(batch)
         mask = frames_within(counts, rows.shape[1] // SNIPPET)
         snippets = self.encode(rows)
-        decoded = self.decoder(snippets)
+        decoded = _by_channels(self.decoder, snippets)
         frame_mask = mask.repeat_interleave(SNIPPET, dim=1)
         frames = l1_loss(decoded[frame_mask], rows[frame_mask])
         sizes = snippets[mask].abs().mean()
         pairs = mask[:, 1:]
-        changes = (snippets[:, 1:] - snippets[:, :-1]).abs().mean(dim=-1)[pairs].sum() / pairs.sum().clamp(min=1)
-        return {
-            "loss": frames + self.config.size_weight * sizes + self.config.change_weight * changes,
-            "frames": frames,
-            "sizes": sizes,
-        }
+        changes = snippets.diff(dim=1).abs().mean(dim=-1)[pairs].sum() / pairs.sum().clamp(min=1)
+        loss = frames + SIZE_WEIGHT * sizes + CHANGE_WEIGHT * changes
+        return {"loss": loss, "frames": frames, "sizes": sizes}
 
 
-class SnippetDecoder(nn.Module):
-    """Snippets → four frames each."""
-
-    def __init__(self, width: int, numbers: int) -> None:
-        super().__init__()
-        self.layers = nn.Sequential(
-            nn.ConvTranspose1d(width, width, 4, 2, 1),
-            nn.LeakyReLU(SLOPE),
-            nn.ConvTranspose1d(width, numbers, 4, 2, 1),
-            nn.LeakyReLU(SLOPE),
-        )
-        self.out = nn.Linear(numbers, numbers)
-
-    def forward(self, snippets: Snippets) -> Rows:
-        """Standardised rows."""
-        rows: Tensor = self.out(self.layers(snippets.transpose(1, 2)).transpose(1, 2))
-        return rows
+def _by_channels(convolutions: nn.Module, values: Float[Tensor, "batch times inputs"]) -> Snippets:
+    """Convolutions over time, whose channels come first in torch."""
+    outputs: Tensor = convolutions(values.transpose(1, 2)).transpose(1, 2)
+    return outputs
 
 
 def whole_snippets(batch: MotionBatch) -> tuple[Float[Tensor, "batch whole numbers"], Lengths]:
     """Rows truncated to whole snippets, and each motion's number of snippets."""
     counts = batch.lengths // SNIPPET
-    frames = SNIPPET * int(counts.max())
-    return batch.rows[:, :frames], counts
+    return batch.rows[:, : SNIPPET * int(counts.max())], counts
 
 
 class Recurrent(nn.Module):
@@ -121,30 +106,28 @@ class Recurrent(nn.Module):
 
     def __init__(self, inputs: int, width: int, latent: int = 0) -> None:
         super().__init__()
+        self.width = width
         self.embed = nn.Sequential(nn.Linear(inputs, width), nn.LayerNorm(width), nn.LeakyReLU(SLOPE))
         self.cell = nn.GRUCell(width, width)
-        self.width = width
         if latent:
             self.mean, self.log_variance = nn.Linear(width, latent), nn.Linear(width, latent)
 
-    def forward(
-        self, inputs: Float[Tensor, "batch inputs"], left: Int64[Tensor, "batch"], state: Float[Tensor, "batch width"]
-    ) -> Float[Tensor, "batch width"]:
+    def forward(self, inputs: Tensor, left: Lengths, state: Latents) -> Latents:
         """The next hidden state; `left` counts the snippets still to come."""
         following: Tensor = self.cell(self.embed(inputs) + sinusoids(left, self.width), state)
         return following
 
-    def gaussian(self, state: Float[Tensor, "batch width"]) -> tuple[Tensor, Tensor]:
+    def gaussian(self, state: Latents) -> tuple[Tensor, Tensor]:
         """μ and log σ²."""
         return self.mean(state), self.log_variance(state)
 
 
 class T2m(PeerNetwork):
-    """Snippets under a condition, each from the one before and a latent; the latent's prior is learned with it."""
+    """T2M, stage 2: snippets under a condition, each from the one before and a latent with a learned prior."""
 
     def __init__(self, config: T2mNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
-        autoencoder = inputs.earlier[AUTOENCODER]
+        autoencoder = inputs.earlier
         assert isinstance(autoencoder, T2mAutoencoder)
         self.config, width, size = config, config.width, autoencoder.width
         self.autoencoder = (autoencoder,)  # in a tuple: frozen; a copy of its decoder is fine-tuned
@@ -175,7 +158,7 @@ class T2m(PeerNetwork):
         sentence = self.sentence(conditions)
         value, (prior_state, posterior_state, state) = self.value(sentence), (start(sentence) for start in self.starts)
         # The start token: the snippet of four zero frames.
-        zeros = noise.new_zeros(len(noise), SNIPPET, self.frames_out.out.out_features)
+        zeros = noise.new_zeros(len(noise), SNIPPET, self.autoencoder[0].numbers)
         with torch.no_grad():
             previous = self.autoencoder[0].encode(zeros)[:, 0]
         snippets, divergence = [], []
@@ -222,8 +205,7 @@ class T2m(PeerNetwork):
 
     def _frames(self, snippets: Snippets, counts: Lengths) -> Rows:
         """Decoded frames; snippets beyond a motion's length are zeroed."""
-        rows: Tensor = self.frames_out(snippets * frames_within(counts, snippets.shape[1])[..., None])
-        return rows
+        return _by_channels(self.frames_out, snippets * frames_within(counts, snippets.shape[1])[..., None])
 
 
 def kl_between(one: tuple[Tensor, Tensor], other: tuple[Tensor, Tensor]) -> Float[Tensor, "batch latent"]:
@@ -233,32 +215,12 @@ def kl_between(one: tuple[Tensor, Tensor], other: tuple[Tensor, Tensor]) -> Floa
 
 
 IN_24 = MotionsConfig(sampled_frames=24)
-T2M_AUTOENCODER = PeerStage(
-    AUTOENCODER,
-    "T2M, stage 1: snippets of four frames",
-    T2mAutoencoder,
-    nano=PeerConfig(
-        T2mAutoencoderNetworkConfig(width=192), IN_24, UNCONDITIONAL, cosine(4000, 128, 3e-3), precision="auto"
-    ),
-    paper=PeerConfig(T2mAutoencoderNetworkConfig(), IN_24, UNCONDITIONAL, Schedule(epochs=270, batch_size=128)),
-    share=0.3,
-)
-T2M = PeerStage(
-    "t2m",
-    "T2M, stage 2: a conditional recurrent VAE of snippets",
-    T2m,
-    nano=PeerConfig(
-        T2mNetworkConfig(width=256, value=128, latent=64),
-        conditions=GIVEN_MINILM,
-        schedule=cosine(1500, 32, 5e-4),
-        clip_norm=0.5,
-    ),
-    paper=PeerConfig(
-        T2mNetworkConfig(),
-        conditions=GIVEN,
-        schedule=Schedule(steps=300_000, batch_size=32, learning_rate=2e-4),
-        clip_norm=0.5,
-    ),
-    builds_on=(T2M_AUTOENCODER,),
-    share=0.7,
-)
+SMALL_AUTOENCODER, PUBLISHED_24 = T2mAutoencoderNetworkConfig(width=192), Schedule(epochs=270, batch_size=128)
+NANO_24 = PeerConfig(SMALL_AUTOENCODER, cosine(4000, 128, 3e-3), UNCONDITIONAL, IN_24, precision="auto")
+PAPER_24 = PeerConfig(T2mAutoencoderNetworkConfig(), PUBLISHED_24, UNCONDITIONAL, IN_24)
+T2M_AUTOENCODER = PeerStage("t2m-autoencoder", T2mAutoencoder, NANO_24, PAPER_24, share=0.3)
+SMALL = T2mNetworkConfig(width=256, value=128, latent=64)
+NANO = PeerConfig(SMALL, cosine(1500, 32, 5e-4), GIVEN_MINILM, clip_norm=0.5)
+PUBLISHED = Schedule(steps=300_000, batch_size=32, learning_rate=2e-4)
+PAPER = PeerConfig(T2mNetworkConfig(), PUBLISHED, GIVEN, clip_norm=0.5)
+T2M = PeerStage("t2m", T2m, NANO, PAPER, builds_on=T2M_AUTOENCODER, share=0.7)

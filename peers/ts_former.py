@@ -1,21 +1,25 @@
 """TS-Former: a context transformer drafts the missing frames, a detail transformer refines them."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 
-from motionkit.core.shapes import Bool, Float, Int
+from motionkit.core.shapes import Bool, Float
 from motionkit.training.config import Schedule
 from pahires.temporal.network import ObservedWindow
-from pahires.temporal.settings import TemporalSettings
-from peers.completing import BASE_GAPS, IN_BETWEENING, NANO_GAPS, completing_system, gathered, longest_gap, neighbours
+from pahires.temporal.settings import TemporalSettings, base_training, nano_training
+from peers.completing import IN_BETWEENING, completing_system, gathered, longest_gap, neighbours, on_task
 
 # A row begins with the root's position (motionkit.features.rotations).
 ROOT_NUMBERS = 3
 _ROUNDING_FRAMES = 1e-3
+# Distances are rounded to this share of a frame.
+STEPS_A_FRAME = 1000
 Rows = Float[Tensor, "batch _ width"]
+ByDistance = Callable[[Tensor], Tensor]  # queries [batch, heads, rows, width] → scores [batch, heads, rows, keys]
 
 
 @dataclass(frozen=True)
@@ -55,9 +59,9 @@ class TsFormer(nn.Module):
         given = window.frames.shape[1]
         grid, on_grid = missing_instants(window, self.frames_per_second)
         instants = torch.cat((grid, window.queries_seconds), dim=1)
-        times, gap = torch.cat((window.times_seconds, instants), dim=1), longest_gap(window)
+        times, (_, gap_start, gap_end) = torch.cat((window.times_seconds, instants), dim=1), longest_gap(window)
         positions = (times - window.times_seconds[:, :1]) * self.frames_per_second
-        ends = torch.stack((times - gap.before_seconds[:, None], gap.after_seconds[:, None] - times), dim=-1)
+        ends = torch.stack((times - gap_start, gap_end - times), dim=-1)
         observed = torch.ones_like(window.times_seconds, dtype=torch.bool)
 
         # Zeros, with the root on straight lines between observed frames.
@@ -98,35 +102,9 @@ def _marked(poses: Float[Tensor, "batch rows numbers"], given: int) -> Float[Ten
     return torch.cat((poses, mark[:, None].expand(*poses.shape[:2], 1)), dim=-1)
 
 
-# Distances are rounded to this share of a frame.
-STEPS_A_FRAME = 1000
-
-
-@dataclass(frozen=True, eq=False)
-class Distances:
-    """A table of learned vectors for whole distances, and each pair's position between two of them.
-
-    A pair at `below` + `share` gets the linear interpolation of both vectors. At whole distances, as in a frame-based
-    model, that is the learned vector; if all pairs are at such, the second is not looked up. The table is small; a
-    vector per pair would dominate the cost.
-    """
-
-    table: Float[Tensor, "distances head_width"]
-    below: Int[Tensor, "batch rows keys"]
-    share: Float[Tensor, "batch rows keys"]
-    all_whole: bool
-
-    def scores(self, query: Float[Tensor, "batch heads rows head_width"]) -> Float[Tensor, "batch heads rows keys"]:
-        """q·r of each row and key."""
-        each = query @ self.table.T
-        heads = (-1, query.shape[1], -1, -1)
-        below = self.below[:, None].expand(heads)
-        nearest = each.gather(3, below)
-        return nearest if self.all_whole else torch.lerp(nearest, each.gather(3, below + 1), self.share[:, None])
-
-
-class RelativeAttention(nn.Module):
-    """Multi-head attention with scores q·k + q·r(Δ), r a learned function of the distance (Qin et al. 2022, Eq. 5).
+class EncoderLayer(nn.Module):
+    """Multi-head attention with scores q·k + q·r(Δ), r a learned function of the distance (Qin et al. 2022, Eq. 5),
+    and a feed-forward part, each after a layer norm and with its input added.
 
     As in the authors' code projections have no bias, and scores are divided by the root of the model's width.
     """
@@ -137,33 +115,20 @@ class RelativeAttention(nn.Module):
         self.heads, self.scale = config.heads, 1 / math.sqrt(width)
         self.query, self.key, self.value = (nn.Linear(width, inner, bias=False) for _ in range(3))
         self.out = nn.Linear(inner, width, bias=False)
-
-    def forward(self, rows: Rows, keys: Rows, distances: Distances, visible: Bool[Tensor, "batch keys"]) -> Rows:
-        """Attention of each row over the visible keys."""
-        query, key, value = (
-            layer(what).unflatten(-1, (self.heads, -1)).transpose(1, 2)
-            for layer, what in ((self.query, rows), (self.key, keys), (self.value, keys))
-        )
-        scores = query @ key.transpose(-1, -2) + distances.scores(query)
-        scores = (scores * self.scale).masked_fill(~visible[:, None, None], -torch.inf)
-        attended: Tensor = self.out((scores.softmax(dim=-1) @ value).transpose(1, 2).flatten(2))
-        return attended
-
-
-class EncoderLayer(nn.Module):
-    """Relative attention and a feed-forward part, each after a layer norm and with its input added."""
-
-    def __init__(self, config: TsFormerNetworkConfig) -> None:
-        super().__init__()
-        width = config.width
-        self.attention = RelativeAttention(config)
         self.before_attention, self.before_inner = nn.LayerNorm(width), nn.LayerNorm(width)
         self.inner = nn.Sequential(nn.Linear(width, config.inner), nn.ReLU(), nn.Linear(config.inner, width))
 
-    def forward(self, rows: Rows, distances: Distances, visible: Bool[Tensor, "batch keys"]) -> Rows:
+    def forward(self, rows: Rows, by_distance: ByDistance, visible: Bool[Tensor, "batch keys"]) -> Rows:
         """All rows after attention to the first, as many as `visible` is long."""
         normed = self.before_attention(rows)
-        rows = rows + self.attention(normed, normed[:, : visible.shape[1]], distances, visible)
+        keys = normed[:, : visible.shape[1]]
+        query, key, value = (
+            layer(what).unflatten(-1, (self.heads, -1)).transpose(1, 2)
+            for layer, what in ((self.query, normed), (self.key, keys), (self.value, keys))
+        )
+        scores = (query @ key.transpose(-1, -2) + by_distance(query)) * self.scale
+        weights = scores.masked_fill(~visible[:, None, None], -torch.inf).softmax(dim=-1)
+        rows = rows + self.out((weights @ value).transpose(1, 2).flatten(2))
         changed: Tensor = self.inner(self.before_inner(rows))
         return rows + changed
 
@@ -192,21 +157,32 @@ class RelativeEncoder(nn.Module):
         A row's output depends on itself and the keys, not on other rows. `added` is added after the input MLP.
         """
         rows = self.enter(inputs) + added
-        distances = self._distances(positions[:, None, : visible.shape[1]] - positions[:, :, None])
+        by_distance = self._by_distance(positions[:, None, : visible.shape[1]] - positions[:, :, None])
         for layer in self.layers:
-            rows = layer(rows, distances, visible)
+            rows = layer(rows, by_distance, visible)
         outputs: Tensor = self.leave(self.norm(rows))
         return outputs
 
-    def _distances(self, apart: Float[Tensor, "batch rows keys"]) -> Distances:
-        """Distances in frames, and the learned vectors of all whole ones up to the farthest."""
+    def _by_distance(self, apart: Float[Tensor, "batch rows keys"]) -> ByDistance:
+        """q·r of pairs that are so many frames apart.
+
+        r is learned at whole distances, as in a frame-based model, and linear in between: a table of whole distances is
+        small, while a vector per pair would dominate the cost.
+        """
         farthest = int(apart.detach().abs().max().ceil()) + 1
         whole = torch.arange(-farthest, farthest + 1, device=apart.device, dtype=apart.dtype)
+        table: Tensor = self.distance(whole[:, None])
         # Times are rounded: an almost whole distance is whole.
         apart = torch.round(apart * STEPS_A_FRAME) / STEPS_A_FRAME
-        below = apart.floor()
-        share = apart - below
-        return Distances(self.distance(whole[:, None]), below.long() + farthest, share, not bool(share.any()))
+        below, share = (apart.floor().long() + farthest)[:, None], (apart - apart.floor())[:, None]
+        all_whole = not bool(share.any())
+
+        def scores(query: Tensor) -> Tensor:
+            each, at = query @ table.T, below.expand(-1, query.shape[1], -1, -1)
+            nearest = each.gather(3, at)
+            return nearest if all_whole else torch.lerp(nearest, each.gather(3, at + 1), share)
+
+        return scores
 
 
 # 2,000 epochs at the 3.1e-5 that the published schedule peaks at; gaps of 5 to 30 frames.
@@ -214,13 +190,9 @@ PAPER = TemporalSettings(
     tasks=replace(IN_BETWEENING, longest_gap=30),
     schedule=Schedule(epochs=2000, batch_size=32, learning_rate=3.1e-5, kind="cosine", warmup_fraction=0.02),
 )
-TS_FORMER = completing_system(
-    "ts-former",
-    "TS-Former: in-betweening by a draft and its refinement",
-    TsFormer,
-    {
-        "nano": (TsFormerNetworkConfig(width=64, layers=2, heads=2, head_width=32, inner=64), NANO_GAPS),
-        "base": (TsFormerNetworkConfig(width=256, head_width=32, inner=256), BASE_GAPS),
-        "paper": (TsFormerNetworkConfig(), PAPER),
-    },
-)
+RECIPES = {
+    "nano": (TsFormerNetworkConfig(64, 2, 2, 32, inner=64), on_task(IN_BETWEENING, nano_training())),
+    "base": (TsFormerNetworkConfig(256, 6, 8, 32, inner=256), on_task(IN_BETWEENING, base_training(), 2e-4)),
+    "paper": (TsFormerNetworkConfig(), PAPER),
+}
+TS_FORMER = completing_system("ts-former", TsFormer, RECIPES)

@@ -58,7 +58,6 @@ def tiny_config(name: str, **changed: Any) -> Any:
             MOTIONS,
             pose_vectors=published.pose_vectors,
             crops=published.crops,
-            scattered=published.scattered,
             sampled_frames=frames,
         ),
         "conditions": ConditionsConfig(kind="none") if name in UNCONDITIONAL else ACTIONS,

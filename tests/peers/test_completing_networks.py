@@ -168,16 +168,15 @@ def _encoded(
     rows = encoder.enter(rows) + added
     distances = encoder.distance((positions[None, :keys] - positions[:, None])[..., None])
     for layer in encoder.layers:
-        attention, normed = layer.attention, layer.before_attention(rows)
-        mixed = []
-        for head in range(attention.heads):
+        normed, mixed = layer.before_attention(rows), []
+        for head in range(layer.heads):
             q, k, v = (
                 projected[:, head * 4 : (head + 1) * 4]
-                for projected in (attention.query(normed), attention.key(normed[:keys]), attention.value(normed[:keys]))
+                for projected in (layer.query(normed), layer.key(normed[:keys]), layer.value(normed[:keys]))
             )
             scores = torch.einsum("rc,rkc->rk", q, k + distances) / math.sqrt(rows.shape[1])
             mixed.append(torch.softmax(scores, dim=1) @ v)
-        rows = rows + attention.out(torch.cat(mixed, dim=1))
+        rows = rows + layer.out(torch.cat(mixed, dim=1))
         rows = rows + layer.inner(layer.before_inner(rows))
     return encoder.leave(encoder.norm(rows))
 

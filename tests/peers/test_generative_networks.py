@@ -3,7 +3,7 @@
 A pass is stated for one motion without padding, of the network's own torch layers.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 from math import cos, pi
@@ -23,21 +23,21 @@ from motionkit.features.native import NativeVectors
 from motionkit.training.config import DiffusionConfig, Prediction
 from motionkit.training.loop import dropout_from, step_generator
 from motionkit.training.networks import Conditions, ConditionSizes, VectorScaling
-from peers.actor import ACTOR, Actor, ActorNetworkConfig
-from peers.camdm import CAMDM, Camdm, CamdmNetworkConfig
+from peers.actor import ACTOR
+from peers.camdm import CAMDM
 from peers.flow import FLOW, AbsoluteCoordinates, Flow, FlowLayer, FlowNetworkConfig
 from peers.generating import PeerStage
 from peers.hier import HIER, Hier, HierNetworkConfig, body_parts
 from peers.inr_mlp import INR_MLP, fit_mixture, length_intervals
-from peers.jl2p import JL2P, Jl2p, Jl2pNetworkConfig
-from peers.layers import LongSkips, NetworkInputs, PeerNetwork, TransformerSizes, diffusion_loss, diffusion_sample
+from peers.jl2p import JL2P
+from peers.layers import NetworkInputs, PeerNetwork, TransformerSizes, diffusion_loss, diffusion_sample
 from peers.mdm import MDM, MDM_50, Mdm, MdmNetworkConfig
-from peers.mld import MLD, Mld, MldNetworkConfig, MldVae, MldVaeNetworkConfig
+from peers.mld import MLD, LongSkips, Mld, MldNetworkConfig, MldVae, MldVaeNetworkConfig
 from peers.motions import MotionBatch, PoseSpace, SampleBatch, frames_within
-from peers.nemf import NEMF, Nemf, NemfNetworkConfig, NemfPath, NemfPathNetworkConfig, Residual, with_velocities
+from peers.nemf import NEMF, Nemf, NemfNetworkConfig, NemfPath, NemfPathNetworkConfig
 from peers.t2m import T2M
 from tests.helpers.nerm_corpus import analytic_positions
-from tests.helpers.tiny_peers import tiny_config
+from tests.helpers.tiny_peers import STAGES, tiny_config
 
 FPS = Fraction(20)
 SIZES = TransformerSizes(3, 16, 2, 24, 0.1)
@@ -52,7 +52,7 @@ FIELD = space(66, FIELD_VECTORS)
 
 
 def inputs(
-    sizes: ConditionSizes = TEXTS, earlier: Mapping[str, nn.Module] = {}, of: PoseSpace | None = None
+    sizes: ConditionSizes = TEXTS, earlier: PeerNetwork | None = None, of: PoseSpace | None = None
 ) -> NetworkInputs:
     return NetworkInputs(of or space(), sizes, 3, earlier)
 
@@ -62,12 +62,12 @@ def conditions(rows: int = 2, dimension: int = 6) -> Conditions:
     return Conditions(text, torch.full((rows,), -1), torch.ones(rows, dtype=torch.bool), torch.ones(rows))
 
 
-def batch_of(lengths: list[int], numbers: int = 263) -> MotionBatch:
-    """Random motions of these lengths, zero-padded."""
+def batch_of(lengths: list[int], numbers: int = 263, padding: int = 0) -> MotionBatch:
+    """Random motions of these lengths, zero-padded to the longest, and further."""
     torch.manual_seed(5)
-    most, count = max(lengths), len(lengths)
-    mask = frames_within(torch.tensor(lengths), most)
-    rows, frames = torch.randn(count, most, numbers) * mask[..., None], torch.arange(most).expand(count, -1)
+    count, most = len(lengths), max(lengths)
+    mask, frames = frames_within(torch.tensor(lengths), most + padding), torch.arange(most + padding).expand(count, -1)
+    rows = nn.functional.pad(torch.randn(count, most, numbers), (0, 0, 0, padding)) * mask[..., None]
     generator = torch.Generator().manual_seed(0)
     return MotionBatch(rows, torch.tensor(lengths), mask, conditions(count), torch.arange(count), frames, generator)
 
@@ -105,7 +105,7 @@ def test_mdm() -> None:
     network, batch = Mdm(MdmNetworkConfig(SIZES), inputs()).eval(), batch_of([5, 3])
     found = network(batch.rows, torch.tensor([7, 90]), batch.conditions, batch.mask)
     for row, (length, step) in enumerate(((5, 7), (3, 90))):
-        first = network.step_in(positions(100)[step]) + network.text_in(batch.conditions.text[row])
+        first = network.step_in(positions(100)[step]) + network.condition.text(batch.conditions.text[row])
         tokens = torch.cat((first[None], network.frame_in(batch.rows[row, :length]))) + positions(length + 1)
         close(found[row, :length], network.frame_out(network.layers(tokens[None])[0, 1:]))
 
@@ -121,43 +121,17 @@ def test_mld() -> None:
         out = long_skips(vae.decoder, vae.decoder_positions[:length], tokens[None, :1])
         close(made[row, :length], vae.frame_out(out))
     assert not made[1, 4:].any()
-    network = Mld(MldNetworkConfig(SIZES, time_features=12), inputs(earlier={"mld-vae": vae})).eval()
+    network = Mld(MldNetworkConfig(SIZES, time_features=12), inputs(earlier=vae)).eval()
     assert not [name for name in network.state_dict() if "vae" in name]
     noisy = torch.randn(2, 1, 16)
     found = network(noisy, torch.tensor([3, 500]), batch.conditions)
     for row, step in enumerate((3, 500)):
         angles = torch.tensor([step / 10_000 ** (i / 6) for i in range(6)])
         time = network.step_in(torch.cat((angles.cos(), angles.sin())))
-        text = network.text_in[1](batch.conditions.text[row].clamp(min=0))
+        text = network.condition.text(batch.conditions.text[row].clamp(min=0))
         close(
             found[row, 0], long_skips(network.layers, torch.stack((noisy[row, 0], time, text)) + network.positions)[0]
         )
-
-
-def test_actor() -> None:
-    network, batch = Actor(ActorNetworkConfig(SIZES), inputs()).eval(), batch_of([6, 4])
-    mean, log_variance = network.encode(batch.rows, batch.mask, batch.conditions)
-    made = network.decode(mean, batch.mask, batch.conditions)
-    for row, length in enumerate((6, 4)):
-        first = [token.text(batch.conditions.text[row]) for token in (network.mean_token, network.variance_token)]
-        tokens = torch.cat((torch.stack(first), network.frame_in(batch.rows[row, :length]))) + positions(length + 2)
-        tokens = network.encoder(tokens[None])[0]
-        close(torch.stack((mean[row], log_variance[row])), tokens[:2])
-        memory = tokens[None, :1] + network.bias.text(batch.conditions.text[row])
-        close(made[row, :length], network.frame_out(network.decoder(positions(length)[None], memory)[0]))
-    assert not made[1, 4:].any()
-
-
-def test_camdm() -> None:
-    network = Camdm(CamdmNetworkConfig(SIZES, past=3, future=5), inputs()).eval()
-    nn.init.normal_(network.no_past)
-    noisy, past, given = torch.randn(2, 5, 263), torch.randn(2, 3, 263), conditions()
-    found = network(noisy, torch.tensor([1, 3]), given, past, torch.tensor([True, False]))
-    for row, step in enumerate((1, 3)):
-        before = network.past_in(past[row]) if row == 0 else network.no_past.expand(3, -1)
-        first = torch.stack((network.step_in(positions(4)[step]), network.condition.text(given.text[row])))
-        tokens = torch.cat((first, before, network.frame_in(noisy[row]))) + positions(10)
-        close(found[row], network.frame_out(network.layers(tokens[None])[0, 5:]))
 
 
 def root_mean_square(values: Tensor) -> Tensor:
@@ -250,19 +224,6 @@ def test_mixtures_are_of_motions_of_one_action_and_length() -> None:
     assert (near < 8).mean() > 0.97 and 0.3 < (drawn[:, 0] > 0).mean() < 0.7
 
 
-def test_jl2p() -> None:
-    network, batch = Jl2p(Jl2pNetworkConfig(6), inputs()), batch_of([5, 3])
-    codes = network.encode(batch.rows, batch.lengths)
-    made = network.decode(codes, batch.rows[:, 0], 4)
-    for row, length in enumerate((5, 3)):
-        state, pose = network.encoder(batch.rows[row, :length])[1][0], batch.rows[row, 0]
-        close(codes[row], state)
-        for frame in range(4):
-            state = network.cell(pose, state)
-            pose = pose + network.change(state)
-            close(made[row, frame], pose)
-
-
 def test_body_parts_are_the_joints_that_their_names_say() -> None:
     parts = body_parts(space())
     assert sorted(number for part in parts for number in part) == list(range(263))
@@ -306,31 +267,10 @@ def test_hier() -> None:
             close(made[row, frame], pose)
 
 
-def residuals(layers: nn.Module, values: Tensor) -> Tensor:
-    """Of frames [frames, inputs]; the k-th convolution, by sums over its taps, weighs 1 / (k + 1)."""
-    for number, layer in enumerate(layers.children(), start=2):
-        assert isinstance(layer, Residual)
-        taps, halves = layer.changed.weight, layer.stride == 2
-        padding = torch.zeros((taps.shape[2] - 1) // 2, values.shape[1])
-        padded = torch.cat((padding, values, padding))
-        starts = range(0, len(padded) - taps.shape[2] + 1, layer.stride)
-        sums = [sum(taps[:, :, tap] @ padded[start + tap] for tap in range(taps.shape[2])) for start in starts]
-        changed = layer.activation((torch.stack(sums) + layer.changed.bias).T[None])[0].T
-        kept = (values[::2] + values[1::2]) / 2 if halves else values
-        kept = kept @ layer.kept.weight[:, :, 0].T + layer.kept.bias
-        values = changed / number + (1 - 1 / number) * kept
-    return values
-
-
-def nemf() -> tuple[Nemf, NemfPath]:
-    torch.manual_seed(1)
+def test_nemf() -> None:
     path = NemfPath(NemfPathNetworkConfig(widths=(5, 4), kernel=3), inputs(NONE))
     sizes = NemfNetworkConfig(16, (5, 6), 4, 4, 3, frequencies=2, width=7, local_layers=3, turn_layers=2)
-    return Nemf(sizes, inputs(NONE, {"nemf-path": path})).eval(), path
-
-
-def test_nemf() -> None:
-    network, _ = nemf()
+    network = Nemf(sizes, inputs(NONE, path)).eval()
     local, turns = torch.randn(2, 4), torch.randn(2, 3)
     made = torch.cat(network(16, local, turns), dim=-1)
     for row in range(2):
@@ -346,24 +286,14 @@ def test_nemf() -> None:
             close(made[row, frame], torch.cat((pose, network.turn_out(hidden))))
 
 
-def test_nemfs_latents_and_path_see_no_padding() -> None:
-    (network, path), batch = nemf(), batch_of([16, 11])
-    (mean, log_variance), (turns, _) = network.encode(batch.rows, batch.lengths)
-    alone = network.encode(batch.rows[1:, :11], torch.tensor([11]))
-    close(alone[0][0], mean[1:])
-    close(alone[1][0], turns[1:])
-    root, contacts = path(batch.rows, batch.lengths)
-    for row, length in enumerate((16, 11)):
-        poses, changes = torch.zeros(16, 189), torch.zeros(16, 189)
-        poses[:length] = batch.rows[row, :length, 4:193]
-        changes[: length - 1] = (poses[1:length] - poses[: length - 1]) * 5
-        flat = residuals(network.local_encoder.layers, torch.cat((poses, changes), dim=1)).T.flatten()
-        close(mean[row], network.local_encoder.mean(flat))
-        close(log_variance[row], network.local_encoder.log_variance(flat))
-        own = batch.rows[row : row + 1, :length]
-        values = with_velocities(own, torch.tensor([length]), space())[0]
-        expected = residuals(path.layers, torch.cat((values, own[0, :, :1]), dim=1))
-        close(torch.cat((root, contacts), dim=-1)[row, :length], expected)
+@pytest.mark.parametrize("name", ["actor", "mld-vae", "t2m-autoencoder", "jl2p", "hier", "nemf-path", "nemf"])
+def test_padding_is_not_seen(name: str) -> None:
+    torch.manual_seed(1)
+    stage, sizes = STAGES[name], TEXTS if name in ("actor", "jl2p", "hier") else NONE
+    earlier = NemfPath(tiny_config("nemf-path").network, inputs(NONE)) if stage.builds_on else None
+    network = stage.network(tiny_config(name).network, inputs(sizes, earlier)).eval()
+    shorter, longer = (network.losses(batch_of([16, 11], padding=padding))["loss"] for padding in (0, 5))
+    close(shorter, longer)
 
 
 FRAMES, ACTIONS = 16, ConditionSizes(0, ("a", "b", "c", "d"))
@@ -405,20 +335,22 @@ def motions(pose_vectors: str) -> tuple[PoseSpace, Tensor]:
 
 
 def learnt(stage: PeerStage) -> tuple[PeerNetwork, Tensor]:
-    """A stage's network after it and earlier ones were trained on four motions, and what it should give."""
-    earlier = {each.name: learnt(each)[0] for each in stage.builds_on}
+    """A stage's network after it and an earlier one were trained on four motions, and what it should give."""
+    earlier = learnt(stage.builds_on)[0] if stage.builds_on else None
     config = tiny_config(stage.name)
     space_of_four, rows = motions(config.motions.pose_vectors)
     torch.manual_seed(0)
     network_config = replace(config.network, **CHANGED.get(stage.name, {}))
-    network = stage.make_network(network_config, NetworkInputs(space_of_four, ACTIONS, 4, earlier)).train()
+    sizes = NONE if stage is NEMF else ACTIONS
+    network = stage.network(network_config, NetworkInputs(space_of_four, sizes, 4, earlier)).train()
     optimizer = torch.optim.AdamW(network.parameters(), lr=0.0, weight_decay=0.0)
     count, which = STEPS.get(stage.name, 300), EACH.repeat(COPIES.get(stage.name, 1))
     frames = torch.arange(FRAMES).expand(len(which), -1)
     lengths, mask = torch.full((len(which),), FRAMES), torch.ones(len(which), FRAMES, dtype=torch.bool)
     for step in range(count):
         generator = step_generator(0, stage.name, step)
-        batch = MotionBatch(rows[which], lengths, mask, CONDITIONS.rows(which), which, frames, generator, step, count)
+        given, progress = CONDITIONS.rows(which), step / count
+        batch = MotionBatch(rows[which], lengths, mask, given, which, frames, generator, step, progress)
         with dropout_from(generator, torch.device("cpu")):
             loss = network.losses(batch)["loss"]
         optimizer.zero_grad()
