@@ -281,7 +281,7 @@ def test_training_loses_captions_that_a_held_out_performer_has(tmp_path, make_mo
     path = write(tmp_path / "unseen", [taken_by(make_motion, f"{n}", f"{n}", *texts) for n, texts in enumerate(said)])
     split(path, {"train": 1.0}, by="sequence_id", where="sequence_id <> '1'")
     report = split(path, {"val": 1.0}, by="sequence_id", where="sequence_id = '1'", unseen_wordings=True)
-    motions = {name: [caption.text for caption in Store.open(path)[name].captions] for name in "0123"}
+    motions = {name: [caption.text for caption in mk.Store.open(path)[name].captions] for name in "0123"}
     assert motions == {"0": ["run"], "1": ["Someone is walking forward."], "2": ["jump"], "3": ["lying down"]}
     assert report.num_captions_removed == 1
 
