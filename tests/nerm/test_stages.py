@@ -4,8 +4,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from eval.reconstruction import DISTANCE
 from eval.tables.nerm import reconstruction
-from eval.tables.nerm.reconstruction import DISTANCE
 from motionkit.training.run import RunError, RunFolder, StageContext
 from nerm.field import load_field
 from nerm.recipes import FIELD, LOCAL

@@ -1,40 +1,23 @@
 """NeRM's Table 4, how well an encoder reconstructs windows of motion, and its ablations: Tables 5 to 9, and ours.
 
-The ground truth at s fps is the capture, low-passed and downsampled if its framerate is higher; sequences slower than s
-have none and are left out. A row of an ablation is a variant of `motionkit ablate`; its numbers are means over the
-seeds that it was trained with.
+A row of an ablation is a variant of `motionkit ablate`; its numbers are means over the seeds that it was trained with.
 """
 
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
-from fractions import Fraction
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from eval.clip_fid.score import CLIP_FID
-from eval.metrics.motion import mean_vector_distance, mpjpe_global, mpjpe_root_aligned, mre
+from eval.reconstruction import Errors, error_cells, reconstruction_errors
 from eval.report.results import Block, Cell, Row, measure
 from eval.sets.motions import generate_fields
 from eval.sets.sets import RowId
 from eval.tables.systems import COLUMNS, Trained, Yardstick, label, reconstructor, trained_reconstructors
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
 from motionkit.core.errors import UsageError
-from motionkit.core.motion import mirror_positions
 from motionkit.core.progress import tracked
-from motionkit.core.shapes import Bool, Float32, Int64
-from motionkit.core.skeleton import SMPL22
-from motionkit.data.reconstruction import ReconstructsWindows
-from motionkit.data.windows import Windows
 from motionkit.edit.encoders import encoder_loader, installed_encoders
-from motionkit.features import field
-from motionkit.features.native import vectors
-from motionkit.fields.motion_field import MotionField, to_motion
-from motionkit.fields.resample import resample_positions
 from motionkit.generate.models import model_loader
-from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
 from motionkit.training.ablations import Ablation, find_ablations
 from motionkit.training.run import RunFolder
@@ -42,7 +25,6 @@ from motionkit.training.run import RunFolder
 NERM = find_ablations("nerm")
 TRAINING, HELD_OUT = "training windows", "held-out windows"
 MOST_WINDOWS = 384
-GLOBAL, DISTANCE, COUNT = "global MPJPE, mm", "L2 norm of the whole vector", "windows"
 LOWEST, HIGHEST = "lowest of the seeds", "highest of the seeds"
 SYNTHESIS = "Motion synthesis: clip-FID on the kinematic descriptor"
 MEASURES = {"mpjpe": measure("mpjpe", unit="mm"), "mre": measure("mre"), "clip_fid": measure(CLIP_FID)}
@@ -66,113 +48,6 @@ PRINTED = {"mre": "motion reconstruction, MRE", "clip_fid": "motion synthesis, c
 Numbers = dict[str, dict[str, Cell]]
 
 
-def window_truth(
-    source: PositionCache, windows: Windows, row: int, fps: Fraction
-) -> Float32[np.ndarray, "poses joints 3"]:
-    """A window's own capture at `fps` (not above its native framerate), in the window's frame; metres."""
-    start, count = int(windows.start_row[row]), int(windows.num_frames[row])
-    positions = np.asarray(source.positions[start : start + count])
-    if windows.mirrored[row]:
-        positions = mirror_positions(positions, SMPL22.left_right_pairs)
-    sampled = resample_positions(positions, windows.exact_fps(row), fps)
-    chosen = slice(row, row + 1)
-    return np.asarray(field.to_window(sampled[None], windows.yaw[chosen], windows.origin[chosen])[0])
-
-
-def has_truth(windows: Windows, fps: Fraction) -> Bool[np.ndarray, "windows"]:
-    """Which windows were captured at `fps` or faster."""
-    return np.asarray(windows.fps >= float(fps) - 1e-6)
-
-
-def separate_windows(windows: Windows) -> Int64[np.ndarray, "chosen"]:
-    """Rows of windows that do not overlap and are not mirrored: each sequence's first, then the next free one, …"""
-    originals = np.flatnonzero(~windows.mirrored)
-    order = originals[np.lexsort((windows.start_frame[originals], windows.sequence_index[originals]))]
-    chosen: list[int] = []
-    free_from: dict[int, int] = defaultdict(int)
-    for row in order.tolist():
-        sequence, start = int(windows.sequence_index[row]), int(windows.start_frame[row])
-        # Neighbours share the frame at which one ends and the next begins.
-        if start >= free_from[sequence]:
-            chosen.append(row)
-            free_from[sequence] = start + int(windows.num_frames[row]) - 1
-    return np.array(chosen, dtype=np.int64)
-
-
-@dataclass(frozen=True)
-class WindowErrors:
-    """Root-aligned and global MPJPE in millimetres; MRE and mean distance of `native` vectors in their raw units."""
-
-    aligned_mm: float
-    global_mm: float
-    mre: float
-    vector_distance: float
-    seconds: float
-
-
-def window_errors(
-    decoded: Float32[np.ndarray, "poses joints 3"],
-    truth: Float32[np.ndarray, "poses joints 3"],
-    fps: Fraction,
-    seconds: float,
-) -> WindowErrors:
-    """The errors of one window of some seconds, decoded at `fps`; both in the window's frame, metres."""
-    positions = 1000.0 * mpjpe_root_aligned(decoded, truth), 1000.0 * mpjpe_global(decoded, truth)
-    found, expected = vectors(decoded, "smpl22", fps), vectors(truth, "smpl22", fps)
-    return WindowErrors(*positions, mre(found, expected), mean_vector_distance(found, expected), seconds)
-
-
-def error_cells(windows: Sequence[WindowErrors]) -> dict[str, Cell]:
-    """MPJPE in millimetres and MRE by metric, windows weighing by duration."""
-    *errors, seconds = np.array([astuple(window) for window in windows]).T
-    aligned, whole, vector, distance = (float(np.average(each, weights=seconds)) for each in errors)
-    return {
-        "mpjpe": Cell(aligned, None, {GLOBAL: whole, COUNT: float(len(windows))}),
-        "mre": Cell(vector, None, {DISTANCE: distance}),
-    }
-
-
-@dataclass(frozen=True, eq=False)
-class Reconstructed:
-    """Windows of a source, each with a model's reconstruction: a motion field in the window's own frame."""
-
-    source: PositionCache
-    windows: Windows
-    fields: Sequence[MotionField]
-    described: str
-
-    def errors(self, fps: Fraction) -> dict[int, WindowErrors]:
-        """The errors at a framerate by the window's row; windows without a ground truth have none."""
-        found = {}
-        for row in np.flatnonzero(has_truth(self.windows, fps)).tolist():
-            truth = window_truth(self.source, self.windows, row, fps)
-            decoded = to_motion(self.fields[row], fps).joint_positions[:, : truth.shape[1]]
-            found[row] = window_errors(decoded, truth, fps, float(self.windows.duration_seconds[row]))
-        return found
-
-
-def reconstructed_windows(
-    encoder: ReconstructsWindows, store: Store, config: EvalConfig, rates: Sequence[Fraction]
-) -> dict[str, Reconstructed]:
-    """Samples of the windows that an encoder was trained on, and of another split's if there are any.
-
-    Of each at most `MOST_WINDOWS` random ones; those fast enough for all framerates come first.
-    """
-    sources = {TRAINING: encoder.training_windows(store)}
-    with config.missing.skipping(HELD_OUT, (UsageError,)):
-        if config.split in ("all", "train"):
-            raise UsageError(f"split {config.split!r} holds training windows; name another (--split test)")
-        sources[HELD_OUT] = encoder.other_windows(store, config.condition)
-    found = {}
-    for name, each in sources.items():
-        shuffled = np.random.default_rng(config.seed).permutation(separate_windows(each.windows))
-        fast = has_truth(each.windows, max(rates))[shuffled]
-        first_fast = np.concatenate((shuffled[fast], shuffled[~fast]))
-        rows = np.sort(first_fast[: min(MOST_WINDOWS, config.max_motions)])
-        found[name] = Reconstructed(each.source, each.windows.select(rows), each.fields(rows), each.described)
-    return found
-
-
 def reconstruction(config: EvalConfig, store: Store) -> Content:
     """MPJPE and MRE of training and of held-out windows by framerate.
 
@@ -183,15 +58,12 @@ def reconstruction(config: EvalConfig, store: Store) -> Content:
     rates = config.fps or COLUMNS
     rows: dict[str, list[Row]] = {title: [] for title in TABLE_4_BLOCKS}
     for name, trained in trained_reconstructors(config.run).items():
-        for which, sample in reconstructed_windows(reconstructor(trained, store), store, config, rates).items():
-            row = f"{name}: {which}, {sample.described}"
-            errors = {fps: sample.errors(fps) for fps in rates}
-            config.missing.add(*(f"{row}, {label(fps)}: no take is that fast" for fps in rates if not errors[fps]))
+        for which, (described, errors) in _errors(trained, store, config).items():
             for title, (metric, same) in TABLE_4_BLOCKS.items():
                 counted = errors[max(rates) if same else min(rates)].keys()
                 chosen = {fps: [each for index, each in errors[fps].items() if index in counted] for fps in rates}
                 cells = {label(fps): error_cells(each)[metric] for fps, each in chosen.items() if each}
-                rows[title] += [Row(row, "ours", cells)] if cells else []
+                rows[title] += [Row(f"{name}: {which}, {described}", "ours", cells)] if cells else []
     same_takes, every_take, mre_blocks = (
         Block(title, tuple(map(label, rates)), tuple(rows[title]), metrics=(MEASURES[metric],))
         for title, (metric, _) in TABLE_4_BLOCKS.items()
@@ -274,19 +146,31 @@ def ablated(ablation: Ablation, config: EvalConfig, store: Store) -> Content:
     )
 
 
+def _errors(trained: Trained[Any], store: Store, config: EvalConfig) -> dict[str, tuple[str, Errors]]:
+    """How an encoder reconstructs its training windows and those of another split if there are any, and the errors."""
+    encoder, rates = reconstructor(trained, store), config.fps or COLUMNS
+    sources = {TRAINING: encoder.training_windows(store)}
+    with config.missing.skipping(HELD_OUT, (UsageError,)):
+        if config.split in ("all", "train"):
+            raise UsageError(f"split {config.split!r} holds training windows; name another (--split test)")
+        sources[HELD_OUT] = encoder.other_windows(store, config.condition)
+    found = {}
+    for which, each in sources.items():
+        errors = reconstruction_errors(each, rates, min(MOST_WINDOWS, config.max_motions), config.seed)
+        lacking = (fps for fps in rates if not errors[fps])
+        config.missing.add(*(f"{encoder.name}: {which}, {label(fps)}: no take is that fast" for fps in lacking))
+        found[which] = each.described, errors
+    return found
+
+
 def _reconstruction(trained: Trained[Any], store: Store, config: EvalConfig) -> Numbers:
-    """Errors of an encoder's training windows, from their trained latents, and of held-out windows."""
-    rates, found = config.fps or COLUMNS, Numbers()
-    samples = reconstructed_windows(reconstructor(trained, store), store, config, rates)
-    for which, sample in samples.items():
-        for fps in rates:
-            errors = list(sample.errors(fps).values())
-            if not errors:
-                config.missing.add(f"{which}, {label(fps)}: no take is that fast")
-                continue
-            for title, (windows, metric) in ABLATION_BLOCKS.items():
-                if windows == which:
-                    found.setdefault(title, {})[label(fps)] = error_cells(errors)[metric]
+    """Errors of an encoder's windows by an ablation's blocks."""
+    found = Numbers()
+    for which, (_, errors) in _errors(trained, store, config).items():
+        cells = {label(fps): error_cells(list(each.values())) for fps, each in errors.items() if each}
+        for title, (windows, metric) in ABLATION_BLOCKS.items():
+            if windows == which:
+                found[title] = {column: by_metric[metric] for column, by_metric in cells.items()}
     return found
 
 

@@ -1,7 +1,6 @@
 """NeRM's Table 1: text-to-motion with whole motions at one framerate, under a protocol."""
 
 import math
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
@@ -15,19 +14,16 @@ from eval.metrics.registry import find_metric
 from eval.metrics.retrieval import RECALL_RANKS
 from eval.native_evaluator.evaluator import load_evaluator
 from eval.report.results import Block, Cell, Row, cell_of, measure, score_differences, with_differences
-from eval.sample_folder import SampleFolder
-from eval.sample_folder.folder import rows_by_name
+from eval.sample_embeddings import Embedded, sample_embeddings
 from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, refusal
-from eval.sets.sets import REAL, RowId, SampleSet, check_sample_names, middle, size_remarks
+from eval.sets.sets import REAL, RowId, check_sample_names, size_remarks
 from eval.tables.systems import Trained, TrainedModel, trained_models
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
-from eval.text_motion.guo import GuoEvaluator, load_guo, load_motion_clip
+from eval.text_motion.guo import load_guo, load_motion_clip
 from eval.text_motion.motions import (
     MADE_OF_22,
-    CaptionedMotions,
     ModelMotions,
     TextMotionEvaluator,
-    as_kit_joints,
     captioned_motions,
     embed_captions,
     kit_bone_lengths,
@@ -42,9 +38,7 @@ from eval.text_motion.scores import (
     share_of_same_texts,
 )
 from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.motion import Caption
 from motionkit.core.progress import task
-from motionkit.core.shapes import Float64, Int64
 from motionkit.generate.models import GenerationRequest, installed_models
 from motionkit.store.reader import Store
 from motionkit.training.text import load_text_encoder
@@ -55,9 +49,9 @@ FIXED_SUFFIX, FIXED_ROW = "-fixed", ", fixed framerate"
 SENTENCES = "minilm"
 EVALUATOR_STAGES = {"native": "evaluator", "tmr": "tmr"}
 CHANCE, ORACLE, FLOOR = "chance", "each motion on its caption's point", "real, disjoint halves"
-AS_VECTORS = "; read as the pose vectors that they came as"
-BY_JOINTS = "; read as pose vectors made of joint positions, as they did not come as such of this size and framerate"
 COUNT = "N"
+COUNT_NOTE = "N: motions of a row; FIDs of different N do not compare."
+OTHER_WAY_NOTE = "The reference code asks with a text for its motion; the paper's words, with a motion for its text."
 
 
 def compute(config: EvalConfig, store: Store) -> Content:
@@ -158,19 +152,6 @@ def _models(config: EvalConfig) -> dict[str, TrainedModel]:
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class Embedded:
-    """A row's embeddings: independent draws of its motions, and several motions of one text for MultiModality.
-
-    `real_rows` are the real motions of the same texts, with which the protocol compares; None for all.
-    """
-
-    draws: list[TextMotionPairs]
-    real_rows: Int64[np.ndarray, "pairs"] | None
-    repeated: Float64[np.ndarray, "texts generations features"] | None = None
-    note: str = ""
-
-
 @dataclass(frozen=True)
 class ScoredRow:
     """A row's scores, and its retrieval by each of the protocol's rules."""
@@ -237,14 +218,13 @@ class _Comparison:
                 rows += self._model_rows(name, model)
         for folder in config.sample_folders:
             with config.missing.skipping(f"{folder.name}, {self.evaluator.name}", (MotionkitError, ValueError)):
-                found = sample_embeddings(folder, self.real, protocol, self.evaluator)
-                rows.append(self._scored(RowId(folder.name), found))
+                embedded = sample_embeddings(folder, self.real, protocol, self.evaluator)
+                rows.append(self._scored(RowId(folder.name), embedded))
         texts_ask = [f"r_precision_top{rank}" for rank in (1, 2, 3)]
         motions_ask = [f"{name}_motion_asks" for name in texts_ask]
         asked, turned = (texts_ask, motions_ask) if protocol.asks == "text" else (motions_ask, texts_ask)
         every = [*asked, "mm_dist", *filter(None, [self.evaluator.pair_score])]
         every += ["fid", "diversity", protocol.multimodality.metric]
-        shared = [remark for remark in rows[0].scores.remarks if all(remark in row.scores.remarks for row in rows)]
         oracle = self._oracle()
 
         def block(title: str, names: list[str], found: Sequence[Row], note: str) -> Block:
@@ -254,26 +234,15 @@ class _Comparison:
             columns = (*map(title_of, names), COUNT)
             return Block(f"{title}: {self.head}", columns, (ceiling, *found), False, note, self.provenance, measures)
 
-        remarks = (f"{COUNT}: motions of a row; FIDs of different {COUNT} do not compare", *shared)
-        sentences = [f"{remark[0].upper()}{remark[1:].rstrip('.')}." for remark in remarks]
+        notes = (COUNT_NOTE, *protocol.remarks, self.evaluator.remark_at(self.real.samples.fps))
+        found = [self._floor(), *(row.with_cells(_cells(row.scores, every), row.note) for row in rows)]
+        own = {each.row: each.scores.values for each in rows if each.row != REAL}
         main, *differences = with_differences(
-            block(
-                "Table 1",
-                every,
-                (self._floor(), *(row.with_cells(_cells(row.scores, every), _note(row, shared)) for row in rows)),
-                " ".join(filter(None, (*sentences, self.evaluator.remark_at(self.real.samples.fps)))),
-            ),
-            score_differences(
-                {each.row: each.scores.values for each in rows if each.row != REAL},
-                {name: title_of(name) for name in every},
-            ),
+            block("Table 1", every, found, " ".join(filter(None, notes))),
+            score_differences(own, {name: title_of(name) for name in every}),
         )
-        other_way = block(
-            "R-Precision the other way round",
-            turned,
-            [row.with_cells(_cells(row.scores, turned)) for row in rows],
-            "The reference code asks with a text for its motion; the NeRM paper's words, with a motion for its text.",
-        )
+        found = [row.with_cells(_cells(row.scores, turned)) for row in rows]
+        other_way = block("R-Precision the other way round", turned, found, OTHER_WAY_NOTE)
         retrieval = (self._retrieval(rule, index, rows) for index, rule in enumerate(protocol.retrieval))
         return [main, other_way, *retrieval, *differences]
 
@@ -310,6 +279,11 @@ class _Comparison:
                 repeated=found.repeated,
                 pair_score=self.evaluator.pair_score,
             )
+        sizes = scores.sizes
+        notes.append(f"N = {sizes['generated']:,} against {sizes['real']:,} real motions")
+        if "multimodality texts" in sizes:
+            notes.append(f"{sizes['multimodality generations']} motions of {sizes['multimodality texts']} texts")
+        notes += [line for line in scores.remarks if line not in self.protocol.remarks]
         return ScoredRow(row, "; ".join(filter(None, notes)), scores, ranked)
 
     def _oracle(self) -> dict[str, Cell]:
@@ -387,15 +361,6 @@ def _cells(scores: Scores, names: Sequence[str]) -> dict[str, Cell]:
     return {**cells, COUNT: Cell(scores.sizes["generated"])}
 
 
-def _note(row: ScoredRow, leaving_out: Sequence[str]) -> str:
-    sizes = row.scores.sizes
-    counted = f"N = {sizes['generated']:,} against {sizes['real']:,} real motions"
-    if "multimodality texts" in sizes:
-        counted += f", {sizes['multimodality generations']} motions of {sizes['multimodality texts']} texts"
-    remarks = [remark for remark in row.scores.remarks if remark not in leaving_out]
-    return "; ".join(filter(None, (row.note, counted, *remarks)))
-
-
 def paper_block(fps: Fraction) -> Block:
     """The paper's figures for the data set of this framerate."""
     dataset = "KIT" if fps == KIT_FPS else "HumanML3D"
@@ -406,78 +371,3 @@ def paper_block(fps: Fraction) -> Block:
         lower_is_better=False,
         note=f"Theirs, by another evaluator on other motions (docs/tables.md). Source: {SOURCES['nerm']}.",
     )
-
-
-def sample_embeddings(
-    folder: SampleFolder, real: CaptionedMotions, protocol: TextMotionProtocol, evaluator: TextMotionEvaluator
-) -> Embedded:
-    """Embed a folder's motions and captions: draw k has the k-th motion of every prompt.
-
-    Motions longer than allowed are cropped like the real ones. A caption that the real set has too keeps its tokens. If
-    the protocol pairs motions with real ones, prompts without a real motion are dropped. Raises `SampleFolderError` for
-    a missing caption, and `UsageError` if no sample matches a real motion by name or caption.
-    """
-    folder.require("caption")
-    fps = real.samples.fps
-    most_frames = protocol.lengths_at(fps).most_frames(fps)
-    samples = folder.at(fps)
-    cropped = [middle(sequence, most_frames) for sequence in samples.sequences]
-    samples = samples.with_positions(samples.name, samples.fps, cropped)
-    motions, remark = _embedded(folder, samples, real.samples, most_frames, evaluator)
-    texts = embed_captions(evaluator, [real.known_captions.get(text, Caption(text)) for text in samples.captions])
-    groups = [np.array(rows) for rows in samples.rows_by_group().values()]
-    most = max(map(len, groups))
-    repeated = motions[np.stack([rows for rows in groups if len(rows) == most])] if most > 1 else None
-    found = _real_rows(samples.select(np.array([rows[0] for rows in groups])), real)
-    real_rows = None
-    if protocol.reference == "paired":
-        pairs = [(rows, row) for rows, row in zip(groups, found, strict=True) if row is not None]
-        if not pairs:
-            raise UsageError(
-                f"protocol {protocol.name!r} compares with the real motions of the same texts; name the files after "
-                "the real sequences, or give them the captions of real sequences of this split"
-            )
-        if without := len(groups) - len(pairs):
-            remark += f"; {without:,} of {len(groups):,} have no real motion of their text: left out"
-        groups, found = [rows for rows, _ in pairs], [row for _, row in pairs]
-        real_rows = np.array(found, dtype=np.int64)
-    ids = real.samples.sequence_ids
-    takes = tuple(f"prompt {number}" if row is None else ids[row] for number, row in enumerate(found))
-    draws = [TextMotionPairs(texts[rows], motions[rows], takes) for rows in map(np.array, zip(*groups, strict=False))]
-    return Embedded(draws, real_rows, repeated, folder.describe() + remark)
-
-
-def _embedded(
-    folder: SampleFolder, samples: SampleSet, real: SampleSet, most_frames: int, evaluator: TextMotionEvaluator
-) -> tuple[Float64[np.ndarray, "motions features"], str]:
-    """Embeddings of a folder's motions, from its pose vectors if the evaluator reads them, and a note on this."""
-    if not isinstance(evaluator, GuoEvaluator):
-        return evaluator.embed_motions(samples), ""
-    sizes = {motion.shape[1] for motion in folder.vectors}
-    if sizes == {evaluator.kind.published.num_values} and set(folder.fps) == {evaluator.fps}:
-        # T poses make T − 1 vectors, so the longest motion has one vector fewer than poses.
-        lengths = folder.sequences.num_frames.tolist()
-        vectors = [
-            middle(motion[:frames], most_frames - 1) for motion, frames in zip(folder.vectors, lengths, strict=True)
-        ]
-        return evaluator.embed_vectors(vectors), AS_VECTORS
-    kit_lengths = kit_bone_lengths(real)
-    if kit_lengths is None:
-        return evaluator.embed_motions(samples), BY_JOINTS
-    if folder.kit_joints and set(folder.fps) == {samples.fps}:
-        joints = [middle(motion, most_frames) for motion in folder.kit_joints]
-        own = samples.with_positions(samples.name, samples.fps, joints)
-        return evaluator.embed_motions(own), f"{BY_JOINTS}; KIT-ML's joints as they came"
-    return evaluator.embed_motions(as_kit_joints(samples, kit_lengths)), f"{BY_JOINTS}; {MADE_OF_22}"
-
-
-def _real_rows(samples: SampleSet, real: CaptionedMotions) -> list[int | None]:
-    """The real motion of each sample, each used once, or None: by names if most match, else by captions."""
-    named = rows_by_name(samples.sequence_ids, real.samples.sequence_ids)
-    fitting = [row for row in named if row is not None]
-    if 2 * len(fitting) > len(named) and len(set(fitting)) == len(fitting):
-        return named
-    by_caption: dict[str, list[int]] = defaultdict(list)
-    for row in reversed(range(real.samples.num_sequences)):
-        by_caption[real.samples.captions[row]].append(row)
-    return [by_caption[text].pop() if by_caption[text] else None for text in samples.captions]

@@ -12,23 +12,19 @@ import pytest
 from eval.clip_fid import score
 from eval.clip_fid.score import Protocol
 from eval.report.results import Block, Result
-from eval.sample_folder import SampleOptions
 from eval.sets.motions import VARIANT_NOTES
 from eval.sets.sets import RowId, Variant
 from eval.tables import systems
 from eval.tables.nerm import table2
-from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.detail import fit_detail
 from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
 from motionkit.generate.models import GenerationRequest
-from motionkit.store.writer import StoreWriter
 from motionkit.training.run import RunError
 from tests.helpers.analytic import capture
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
-from tests.helpers.table_request import table_request
+from tests.helpers.table_request import rows_of, table_request, write_takes
 
 FPS = (Fraction(20), Fraction(60))
 NERM, NERM_SLERP = "NeRM", "NeRM generated at 20 fps, SLERP"
@@ -53,21 +49,8 @@ def truth(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("table2") / "store"
-    with StoreWriter.create(path) as writer:
-        for seed in range(24):
-            grid = TimeGrid(Fraction(60), 300)
-            writer.add(
-                Motion(
-                    joint_positions=positions_at(grid.seconds(), seed),
-                    skeleton=SMPL22,
-                    timegrid=grid,
-                    captions=(Caption(str(seed)),),
-                    split=("train", "test")[seed % 2],
-                    sequence_id=f"take-{seed}",
-                )
-            )
-    return path
+    takes = (positions_at(np.arange(300) / 60, seed) for seed in range(24))
+    return write_takes(tmp_path_factory.mktemp("table2") / "store", takes, Fraction(60), ("train", "test"))
 
 
 @pytest.fixture(autouse=True)
@@ -89,10 +72,6 @@ def build(store: Path, folder: Path, **changes: object) -> Result:
     protocol = Protocol(num_clips=400, replications=2, detailed_replications=1, resamplings=50)
     values: dict[str, object] = {"fps": FPS, "protocol": protocol, "features": ("kinematic",)} | changes
     return table2.TABLE.build(table_request(store, folder, **values))
-
-
-def rows_of(result: Result) -> dict[str, dict[str, float]]:
-    return {row.name: {column: cell.value for column, cell in row.cells.items()} for row in result.blocks[0].rows}
 
 
 def test_a_model_that_is_the_real_motion_reaches_the_floor(
@@ -156,20 +135,6 @@ def test_a_model_of_frames_is_upsampled_as_vectors(
     # Velocities a frame that are left as they are carry the body three times as far.
     assert rows[vectors]["60 fps"] > rows[NERM]["60 fps"]
     assert "NeRM: its weights are gone" in result.missing
-
-
-@pytest.mark.usefixtures("without_copies")
-def test_samples_enter_the_columns_of_their_takes(store: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "samples"
-    folder.mkdir()
-    for seed in range(1, 13, 2):
-        np.save(folder / f"take-{seed}.npy", positions_at(np.arange(300) / 60, seed))
-    np.save(folder / "somebody.npy", positions_at(np.arange(300) / 60, 99))
-    options = SampleOptions(fps=Fraction(60))
-    result = build(store, tmp_path, samples={"theirs": folder}, sample_options=options)
-    row = next(row for row in result.blocks[0].rows if row.name == "theirs")
-    assert [(cell.details["motions"], cell.details["takes"]) for cell in row.cells.values()] == [(6, 6)] * 2
-    assert "theirs: 1 motions are for none of the compared takes" in result.missing
 
 
 @pytest.mark.usefixtures("without_copies")

@@ -23,13 +23,12 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.generate.models import GenerationRequest, SamplingOptions
 from motionkit.io import uestc
-from motionkit.io.joints_npy import write_joints_npy
 from motionkit.io.smpl_body import SMPL
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
 from tests.helpers.acting import ACTIONS, acted, acted_at
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
-from tests.helpers.table_request import table_request
+from tests.helpers.table_request import rows_of, table_request
 
 EACH = 12
 FPS = Fraction(20)
@@ -80,20 +79,15 @@ def with_model(monkeypatch: pytest.MonkeyPatch, folder: Path, model: ScriptedMod
     return trained_run(folder / "runs" / "nano")
 
 
-def rows_of(result: Result, block: int = 0) -> dict[str, dict[str, float]]:
-    return {row.name: {column: cell.value for column, cell in row.cells.items()} for row in result.blocks[block].rows}
-
-
 def test_a_model_that_obeys_scores_like_real_motion(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = with_model(monkeypatch, tmp_path, actor())
     result = build(store, tmp_path, run=run, published="native,a2m,actor", draws=2)
     titles = [block.title.split(" (")[0] for block in result.blocks]
-    scored = [index for index in range(len(titles)) if "real (test)" in rows_of(result, index)]
+    scored = [rows for index in range(len(titles)) if "real (test)" in (rows := rows_of(result, index))]
     assert len(scored) == 3
-    for block in scored:
-        rows = rows_of(result, block)
+    for rows in scored:
         assert set(rows) == {"real (test)", "NeRM", "NeRM, planted"}
         real, model = rows["real (test)"], rows["NeRM"]
         assert real["Accuracy"] > 0.9 and model["Accuracy"] > 0.9
@@ -157,13 +151,11 @@ def test_samples_of_another_system_are_a_row(store: Path, tmp_path: Path) -> Non
     folder.mkdir()
     lines = ["file,action"]
     for index in range(9):
-        action, name = ACTIONS[index % 3], f"m{index}"
-        motion = Motion(acted(action, 777 + index), SMPL22, TimeGrid(FPS, 50))
-        write_joints_npy(motion, folder / f"{name}.npy")
-        lines.append(f"{name}.npy,{action}")
+        np.save(folder / f"{index}.npy", acted(ACTIONS[index % 3], 777 + index))
+        lines.append(f"{index}.npy,{ACTIONS[index % 3]}")
     (folder / "actions.csv").write_text("\n".join(lines) + "\n")
-    rows = rows_of(build(store, tmp_path, samples={"theirs": folder}))
-    assert rows["theirs"]["Accuracy"] > 0.8
+    (folder / "samples.toml").write_text("fps = 20\n")
+    assert rows_of(build(store, tmp_path, samples={"theirs": folder}))["theirs"]["Accuracy"] > 0.8
     (folder / "actions.csv").unlink()
     without = build(store, tmp_path, samples={"theirs": folder})
     assert "theirs" not in rows_of(without)
@@ -189,9 +181,9 @@ def test_what_cannot_be_scored_is_said(store: Path, tmp_path: Path, monkeypatch:
         build(untrained, tmp_path)
 
 
-def turning(num_frames: int, seed: int, joints: int) -> np.ndarray:
+def turning(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    vectors = rng.normal(size=(1, joints, 3)) + 0.02 * rng.normal(size=(num_frames, joints, 3)).cumsum(axis=0)
+    vectors = rng.normal(size=(1, 24, 3)) + 0.02 * rng.normal(size=(90, 24, 3)).cumsum(axis=0)
     return kinematics.rotation_vector_to_quaternion(vectors.astype(np.float32))
 
 
@@ -199,24 +191,20 @@ def test_rotations_come_from_the_store_at_the_recognisers_framerate(tmp_path: Pa
     body = SMPL.skeleton("smpl", np.concatenate((SMPL22.offsets.cumsum(axis=0), np.ones((2, 3)))))
     with StoreWriter.create(tmp_path / "store") as writer:
         for index in range(8):
-            fps, joints = (Fraction(30), 24) if index % 2 else (Fraction(60), 24)
-            rotations = turning(90, index, joints)
-            root = np.zeros((90, 3), np.float32)
-            positions = kinematics.forward_kinematics(rotations, root, body)
-            action = uestc.ACTIONS[index // 4]
-            split = ("train", "test")[index // 2 % 2]
-            grid = TimeGrid(fps, 90)
-            writer.add(
-                Motion(positions, body, grid, rotations, root, action=action, split=split, sequence_id=str(index))
+            rotations, root, grid = (
+                turning(index),
+                np.zeros((90, 3), np.float32),
+                TimeGrid(Fraction(60 - index % 2 * 30), 90),
             )
+            motion = Motion(kinematics.forward_kinematics(rotations, root, body), body, grid, rotations, root)
+            split = ("train", "test")[index // 2 % 2]
+            writer.add(replace(motion, action=uestc.ACTIONS[index // 4], split=split, sequence_id=str(index)))
     store = Store.open(tmp_path / "store")
-    samples = sample_set(
-        "two", Fraction(30), [np.zeros((45, 22, 3), np.float32), np.zeros((90, 22, 3), np.float32)], ["0", "1"]
-    )
-    found = with_rotations(store, samples).local_rotations
+    frames = [np.zeros((count, 22, 3), np.float32) for count in (45, 90)]
+    found = with_rotations(store, sample_set("two", Fraction(30), frames, ["0", "1"])).local_rotations
     assert found is not None and found.shape == (135, 24, 4)
-    np.testing.assert_allclose(np.abs((found[:45] * turning(90, 0, 24)[::2]).sum(-1)), 1.0, atol=1e-3)
-    np.testing.assert_allclose(np.abs((found[45:] * turning(90, 1, 24)).sum(-1)), 1.0, atol=1e-4)
+    np.testing.assert_allclose(np.abs((found[:45] * turning(0)[::2]).sum(-1)), 1.0, atol=1e-3)
+    np.testing.assert_allclose(np.abs((found[45:] * turning(1)).sum(-1)), 1.0, atol=1e-4)
     torch.manual_seed(0)
     torch.save(StgcnNetwork(SMPL.parents, 6, 40).state_dict(), tmp_path / "uestc.tar")
     result = build(store.path, tmp_path, features=("uestc",), guo=GuoFiles(tmp_path / "uestc.tar"))

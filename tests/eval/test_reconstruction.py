@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.tables.nerm.reconstruction import (
+from eval.reconstruction import (
     COUNT,
     DISTANCE,
     GLOBAL,

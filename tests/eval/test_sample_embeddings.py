@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from eval.native_evaluator.evaluator import NativeEvaluator
+from eval.sample_embeddings import AS_VECTORS, BY_JOINTS, sample_embeddings
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.folder import SampleFolderError
 from eval.sets.sets import Ragged, SampleSet, sample_set
-from eval.tables.nerm.table1 import AS_VECTORS, BY_JOINTS, sample_embeddings
 from eval.text_motion.guo import KINDS, GuoEvaluator
 from eval.text_motion.motions import CaptionedMotions
 from eval.text_motion.protocol import find_text_motion_protocol
