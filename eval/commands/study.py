@@ -12,7 +12,7 @@ from motionkit.core.files import default_path
 from motionkit.core.progress import task
 
 if TYPE_CHECKING:
-    from eval.study.preference import Preference
+    from eval.study.trials import Preference
 
 STUDY = typer.Typer(
     help="""Ask people which of two motions is better: make a page of pairs, score the answers.
@@ -117,8 +117,7 @@ def score(
     from dataclasses import asdict
 
     from eval.sets.sets import Missing
-    from eval.study.preference import StudyError, preferences, read_answers, read_key
-    from eval.study.trials import QUESTIONS
+    from eval.study.trials import QUESTIONS, StudyError, preferences, read_answers, read_key
 
     known, missing = read_key(key), Missing()
     read = read_answers(answers, known, missing)

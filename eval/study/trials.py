@@ -1,8 +1,8 @@
-"""The pairs of motions of a study, its blinded page, and its key, which tells the systems."""
+"""The pairs of motions of a study, its blinded page, the key that tells the systems, and people's preferences."""
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from importlib import resources
@@ -14,16 +14,17 @@ import numpy as np
 from eval.sample_folder import SampleFolder
 from eval.sets.motions import RealMotion, is_unconditional, upsampled_positions
 from eval.sets.sets import Missing, middle
-from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.files import write_json, write_whole
+from motionkit.core.errors import MotionkitError, UsageError, shown
+from motionkit.core.files import read_json, write_json, write_whole
 from motionkit.core.progress import OnProgress, task
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import parse_fps
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
 from motionkit.generate.models import GenerationRequest, GenerativeModel
-from motionkit.viz.player import MOST_PAGE_BYTES, Panel, data_of, player
+from motionkit.viz.player import Panel, data_of, player
 
 REALISTIC, CONSISTENT = "realistic", "consistent"
 QUESTIONS = {
@@ -32,6 +33,8 @@ QUESTIONS = {
 }
 """The two questions of NeRM's study (appendix E.6)."""
 KEY_FORMAT, ANSWERS_FORMAT = "motionkit-study-key/1", "motionkit-study-answers/1"
+RESTORE = "restore it from a copy, without it the sides are unknown"
+SIDES = {"a": 0, "b": 1}
 Positions = Float32[np.ndarray, "frames 22 3"]
 
 
@@ -63,26 +66,22 @@ def of_motions(motions: SampleFolder | RealMotion) -> System:
 
     lengths = zip(motions.sequences.num_frames, motions.fps, strict=True)
     seconds = tuple(float(int(frames) / fps) for frames, fps in lengths)
-    is_real = isinstance(motions, RealMotion)
-    name, fastest = ("real motion", motions.fps) if is_real else (motions.name, None)
+    name, fastest = ("real motion", motions.fps) if isinstance(motions, RealMotion) else (motions.name, None)
     return System(name, motions.sequence_ids, motions.captions, seconds, positions, fastest)
 
 
 def of_model(model: GenerativeModel, beside: Sequence[System], seed: int, longest_seconds: float) -> System:
-    """A model's planted motions for the captions and lengths of other systems, as `motionkit generate` writes them.
-
-    Motions are generated lazily.
-    """
+    """A model's planted motions for the captions and lengths of other systems, as `motionkit generate` writes them."""
     longest = min(longest_seconds, model.max_duration_seconds)
     prompts: dict[str, float] = {}
     for system in beside:
         for caption, length in zip(system.captions, system.seconds, strict=True):
-            prompts.setdefault(caption, min(length, longest))
+            prompts.setdefault(caption, length)
     prompts.pop("", None)
+    pairs = list(prompts.items())
     if not prompts or is_unconditional(model):
-        requests = [GenerationRequest(min(length, longest)) for length in beside[0].seconds]
-    else:
-        requests = [GenerationRequest(length, caption) for caption, length in prompts.items()]
+        pairs = [("", length) for length in beside[0].seconds]
+    requests = [GenerationRequest(min(length, longest), caption) for caption, length in pairs]
 
     def positions(index: int, fps: Fraction) -> Positions:
         (field,) = model.generate([requests[index]], seed=seed, first=index)
@@ -115,9 +114,9 @@ def draw_trials(
     """
     names = [system.name for system in systems]
     if len(names) < 2 or len(set(names)) < len(names):
+        there = ", ".join(names) or "none"
         raise UsageError(
-            f"a study compares two systems of different names (here: {', '.join(names) or 'none'}): name folders with "
-            "--samples NAME=DIR, a --run, a --store"
+            f"a study compares systems of different names, not {there}: --samples NAME=DIR, --run, --store"
         )
     rng, first = np.random.default_rng(seed), systems[0]
     trials: list[Trial] = []
@@ -132,9 +131,8 @@ def draw_trials(
         questions, num_before = tuple(QUESTIONS) if captioned else (REALISTIC,), len(trials)
         for fps in rates:
             there = [(one, two) for one, two in pairs if first.has(one, fps) and second.has(two, fps)]
-            if len(there) < cases * len(questions):
-                few = f"{len(there)} pairs of motions at {fps} fps for {cases * len(questions)} cases"
-                missing.add(f"{label}: {few}" + (", some are shown twice" if there else ", none is shown"))
+            if len(there) < (needed := cases * len(questions)):
+                missing.add(f"{label}: {len(there)} pairs of motions at {fps} fps for {needed} cases")
             for question in questions if there else ():
                 for swapped in rng.permutation(np.arange(cases) % 2).tolist():
                     one, two = there[(len(trials) - num_before) % len(there)]
@@ -151,13 +149,13 @@ def _pairs(first: System, second: System, captioned: bool, rng: np.random.Genera
     orders = [rng.permutation(len(system.captions)).tolist() for system in (first, second)]
     if not captioned:
         return list(zip(*orders, strict=False))
-    by_caption: list[dict[str, int]] = [{}, {}]
-    for system, order, found in zip((first, second), orders, by_caption, strict=True):
-        for index in order:
-            if system.captions[index]:
-                found.setdefault(" ".join(system.captions[index].casefold().split()), index)
-    common = sorted(by_caption[0].keys() & by_caption[1].keys())
-    return [(by_caption[0][common[n]], by_caption[1][common[n]]) for n in rng.permutation(len(common)).tolist()]
+    one, two = (
+        # Of several motions of a caption, the first in this order.
+        {" ".join(system.captions[index].casefold().split()): index for index in reversed(order)}
+        for system, order in zip((first, second), orders, strict=True)
+    )
+    common = sorted((one.keys() & two.keys()) - {""})
+    return [(one[common[n]], two[common[n]]) for n in rng.permutation(len(common)).tolist()]
 
 
 def write_study(
@@ -169,57 +167,43 @@ def write_study(
     longest_seconds: float,
     on_progress: OnProgress,
 ) -> int:
-    """Write the page and the key of some trials, and return the page's size in bytes.
-
-    Longer motions are cut to their middle `longest_seconds`. Raises `MotionkitError` for a page that is too large for a
-    browser.
-    """
+    """Write the page and the key; motions are cut to their middle `longest_seconds`. Returns the page's bytes."""
     document = _key(systems, trials, seed)
-    shown = []
+    pages = []
     with task(on_progress, "motions", len(trials)) as work:
         for trial in trials:
             panels = []
             for letter, system, motion in zip("AB", trial.systems, trial.motions, strict=True):
-                positions = middle(
-                    systems[system].positions(motion, trial.fps), max(2, int(longest_seconds * trial.fps))
-                )
+                whole = systems[system].positions(motion, trial.fps)
+                positions = middle(whole, max(2, int(longest_seconds * trial.fps)))
                 # All stand on their lowest joint: a capture's floor height would reveal its system.
                 floor = np.array([0.0, positions[..., 1].min(), 0.0], dtype=np.float32)
                 panels.append(Panel(letter, positions - floor, SMPL22, trial.fps))
-            shown.append({"question": trial.question, "caption": trial.caption, "player": data_of("", panels)})
+            pages.append({"question": trial.question, "caption": trial.caption, "player": data_of("", panels)})
             work.advance()
-    data = {"format": ANSWERS_FORMAT, "study": document["study"], "questions": QUESTIONS, "trials": shown}
+    data = {"format": ANSWERS_FORMAT, "study": document["study"], "questions": QUESTIONS, "trials": pages}
     written = _page(data).encode("utf-8", "backslashreplace")
-    if len(written) > MOST_PAGE_BYTES:
-        raise MotionkitError(
-            f"the page would have {len(written) / 1e6:,.0f} MB, at most {MOST_PAGE_BYTES / 1e6:,.0f} MB: fewer "
-            "--cases, shorter motions (--seconds) or lower framerates (--fps)"
-        )
     write_json(key, document)
     write_whole(page, written)
     return len(written)
 
 
+def study_of(content: Mapping[str, Any]) -> str:
+    """The study's id: 16 hexadecimal digits of the sha256 of everything else in its key."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
 def _key(systems: Sequence[System], trials: Sequence[Trial], seed: int) -> dict[str, Any]:
-    content = {
-        "format": KEY_FORMAT,
-        "seed": seed,
-        "systems": [system.name for system in systems],
-        "trials": [
-            {
-                "question": trial.question,
-                "fps": str(trial.fps),
-                "caption": trial.caption,
-                "systems": [systems[system].name for system in trial.systems],
-                "motions": [
-                    systems[system].motion_ids[motion]
-                    for system, motion in zip(trial.systems, trial.motions, strict=True)
-                ],
-            }
-            for trial in trials
-        ],
-    }
-    return {**content, "study": hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]}
+    names, listed = [system.name for system in systems], []
+    for trial in trials:
+        sides = list(zip(trial.systems, trial.motions, strict=True))
+        motions = {
+            "systems": [names[system] for system, _ in sides],
+            "motions": [systems[system].motion_ids[motion] for system, motion in sides],
+        }
+        listed.append({"question": trial.question, "fps": str(trial.fps), "caption": trial.caption, **motions})
+    content = {"format": KEY_FORMAT, "seed": seed, "systems": names, "trials": listed}
+    return {**content, "study": study_of(content)}
 
 
 def _page(data: dict[str, Any]) -> str:
@@ -231,3 +215,79 @@ def _page(data: dict[str, Any]) -> str:
     text = json.dumps({**data, "shell": shell}, ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
     head, tail = page.replace("__STYLE__", style).replace("__SCRIPT__", script).split("__STUDY__")
     return head + text + tail
+
+
+class StudyError(MotionkitError):
+    """A key or answers that cannot be used."""
+
+
+@dataclass(frozen=True)
+class Preference:
+    """How often `first` was preferred to `second`: a share with its 95 % Wilson interval and a binomial test of 1/2."""
+
+    question: str
+    first: str
+    second: str
+    fps: str
+    num_answers: int
+    num_first: int
+    share: float
+    low: float
+    high: float
+    p_value: float
+
+
+def read_key(path: Path) -> dict[str, Any]:
+    """Read the key that `write_study` wrote; raises `DamagedFileError`, or `StudyError` for another or changed file."""
+    key = read_json(path, RESTORE)
+    if key.get("format") != KEY_FORMAT or key.pop("study", None) != (study := study_of(key)):
+        raise StudyError(f"{path}: not a valid key of a study: {RESTORE}")
+    return {**key, "study": study}
+
+
+def read_answers(paths: Iterable[Path], key: Mapping[str, Any], missing: Missing) -> dict[str, dict[int, str]]:
+    """Each participant's choices ("a" or "b") by trial, once; the problems of other files are added to `missing`."""
+    answers: dict[str, dict[int, str]] = {}
+    for path in paths:
+        with missing.skipping(str(path), (MotionkitError, OSError, LookupError, TypeError, ValueError)):
+            document = read_json(path, "ask for the file again")
+            if document.get("format") != ANSWERS_FORMAT or document.get("study") != key["study"]:
+                raise StudyError(f"not answers of study {key['study']}, but of another study or of none")
+            given = [(each["trial"], each["choice"]) for each in document["answers"] if each is not None]
+            for trial, choice in given:
+                if trial not in range(len(key["trials"])) or choice not in SIDES:
+                    raise StudyError(f"damaged answers: {shown(str(choice))} to question {shown(str(trial))}")
+            participant = shown(str(document["participant"]))
+            if participant in answers:
+                raise StudyError(f"the answers of participant {participant} are in another file already")
+            answers[participant] = dict(given)
+    return answers
+
+
+def preferences(key: Mapping[str, Any], answers: Iterable[Mapping[int, str]]) -> list[Preference]:
+    """For each question and pair of systems, the preference for the study's first one, at each framerate.
+
+    With three or more framerates, also for all above the lowest together. Answers are treated as independent.
+    """
+    from scipy.stats import binomtest
+
+    first, wins = key["systems"][0], dict[tuple[str, str], dict[Fraction, list[bool]]]()
+    for choices in answers:
+        for number, choice in choices.items():
+            trial = key["trials"][number]
+            (second,) = (name for name in trial["systems"] if name != first)
+            by_fps = wins.setdefault((trial["question"], second), {})
+            by_fps.setdefault(parse_fps(trial["fps"]), []).append(trial["systems"][SIDES[choice]] == first)
+    found = []
+    for question, second in sorted(wins, key=lambda each: (list(QUESTIONS).index(each[0]), each[1])):
+        by_fps = dict(sorted(wins[question, second].items()))
+        columns = {f"{float(fps):g}": won for fps, won in by_fps.items()}
+        if len(by_fps) > 2:
+            above = list(by_fps)[1:]
+            columns[f"{float(above[0]):g} to {float(above[-1]):g}"] = [won for fps in above for won in by_fps[fps]]
+        for fps, won in columns.items():
+            test = binomtest(sum(won), len(won))
+            interval = test.proportion_ci(method="wilson")
+            shares = sum(won) / len(won), float(interval.low), float(interval.high), float(test.pvalue)
+            found.append(Preference(question, first, second, fps, len(won), sum(won), *shares))
+    return found
