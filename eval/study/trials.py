@@ -114,7 +114,7 @@ def draw_trials(
     """
     names = [system.name for system in systems]
     if len(names) < 2 or len(set(names)) < len(names):
-        there = ", ".join(names) or "none"
+        named = ", ".join(names) or "none"
         raise UsageError(
             f"a study compares systems of different names, not {there}: --samples NAME=DIR, --run, --store"
         )
