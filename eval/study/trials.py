@@ -116,7 +116,7 @@ def draw_trials(
     if len(names) < 2 or len(set(names)) < len(names):
         named = ", ".join(names) or "none"
         raise UsageError(
-            f"a study compares systems of different names, not {there}: --samples NAME=DIR, --run, --store"
+            f"a study compares systems of different names, not {named}: --samples NAME=DIR, --run, --store"
         )
     rng, first = np.random.default_rng(seed), systems[0]
     trials: list[Trial] = []
