@@ -18,10 +18,14 @@ from eval.sets.sets import SampleSet, middle
 from motionkit.core.errors import MotionkitError
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22
-from motionkit.io.smpl_body import SMPL
 
 VERSION = "motion-statistics/1"
 MIN_FRAMES = 10
+# Actions with fewer training motions are dropped: their means would be unreliable.
+LEAST_TRAINING = 10
+# Of the within-class covariance, towards a multiple of the identity.
+SHRINKAGE = 0.1
+LEAST_SPREAD = 0.01
 LONGEST_SECONDS = 3
 QUANTILES = (0.1, 0.9)
 LEFT_HIP, RIGHT_HIP, LEFT_SHOULDER, RIGHT_SHOULDER = (
@@ -61,15 +65,6 @@ def _root_motion(positions: Float64[np.ndarray, "frames 22 3"], fps: float) -> F
     x, y, z = (np.diff(positions[:, 0], axis=0) * fps).T
     sine, cosine = np.sin(heading[:-1]), np.cos(heading[:-1])
     return np.stack((x * cosine - z * sine, x * sine + z * cosine, y, np.diff(heading) * fps), axis=1)
-
-
-LEAST_TRAINING = 10
-"""Actions with fewer training motions are dropped: their means would be unreliable."""
-
-SHRINKAGE = 0.1
-"""Shrinkage of the within-class covariance towards a multiple of the identity."""
-
-LEAST_SPREAD = 0.01
 
 
 def fit_linear(train: SampleSet) -> ActionRecogniser:
@@ -116,23 +111,7 @@ def fit_linear(train: SampleSet) -> ActionRecogniser:
 
 
 def statistics_of(samples: SampleSet) -> Float64[np.ndarray, "sequences numbers"]:
-    """`motion_statistics` of every sequence's middle 3 s. Raises `MotionkitError` for motions it cannot describe."""
-    if samples.sequences.values.shape[1] not in (SMPL22.num_joints, SMPL.num_joints):
-        raise MotionkitError(
-            f"{samples.name}: {samples.sequences.values.shape[1]} joints; statistics of motions are defined on the "
-            f"{SMPL22.num_joints} of the standard layout"
-        )
-    short = np.flatnonzero(samples.sequences.num_frames < MIN_FRAMES)
-    if len(short):
-        first = int(short[0])
-        raise MotionkitError(
-            f"{samples.name}: {len(short)} motions have fewer than {MIN_FRAMES} frames at {samples.fps} fps, the first "
-            f"is {samples.sequence_ids[first]!r} with {samples.sequences.num_frames[first]}"
-        )
-    longest = int(LONGEST_SECONDS * samples.fps)
-    return np.stack(
-        [
-            motion_statistics(middle(sequence[:, : SMPL22.num_joints], longest), float(samples.fps))
-            for sequence in samples.sequences
-        ]
-    )
+    """`motion_statistics` of every sequence's middle 3 s; hands are left out."""
+    longest, fps = int(LONGEST_SECONDS * samples.fps), float(samples.fps)
+    bodies = [middle(sequence[:, : SMPL22.num_joints], longest) for sequence in samples.sequences]
+    return np.stack([motion_statistics(body, fps) for body in bodies])

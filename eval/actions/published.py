@@ -19,8 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from eval.actions.recogniser import ActionRecogniser, FeaturesAndScores
-from eval.actions.recognisers import find_recogniser
+from eval.actions.recogniser import ActionRecogniser, FeaturesAndScores, find_recogniser
 from eval.sets.sets import SampleSet
 from motionkit.core import kinematics
 from motionkit.core.errors import MotionkitError
@@ -28,7 +27,7 @@ from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.io import joints_npy, uestc
 from motionkit.io.smpl_body import SMPL
-from motionkit.training.loop import CheckpointError, fill_checked, foreign_tensors, read_foreign, weights_digest
+from motionkit.training.loop import fill_checked, foreign_tensors, read_foreign, weights_digest
 
 CLIP_FRAMES = 60
 MOTIONS_AT_ONCE = 64
@@ -240,12 +239,6 @@ def load_uestc(path: Path) -> ActionRecogniser:
     """
     source = find_recogniser("uestc")
     network = StgcnNetwork(SMPL.parents, 6, len(uestc.ACTIONS)).eval().requires_grad_(False)
-    found = read_foreign(path)
-    if not found or not all(isinstance(tensor, torch.Tensor) for tensor in found.values()):
-        raise CheckpointError(
-            f"{path}: not {source.title}, whose file is a bare state dict (fcn.weight, data_bn.weight …); this one "
-            f"holds {', '.join(found) or 'nothing'}"
-        )
-    fill_checked(network.state_dict(), found, "weights", path, source.title)
+    fill_checked(network.state_dict(), read_foreign(path), "weights", path, source.title)
     digest = weights_digest("uestc-stgcn/1", network.state_dict())
     return ActionRecogniser(source.name, source.fps, uestc.ACTIONS, digest, partial(describe, network, uestc_inputs))

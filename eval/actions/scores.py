@@ -1,6 +1,6 @@
 """The action task's metrics from a recogniser's output on real and generated motions."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -34,7 +34,7 @@ class ActionProtocol:
 
     `num_motions`: generated motions per replication, None for all. `pairs` "different" draws Diversity without
     repetition (NeRM Eq. 7) and MultiModality from two different motions; "with replacement" draws both sides with
-    replacement, as action-to-motion does. `spread`: what the source prints after "±"; ACTOR's is no interval.
+    replacement, as action-to-motion does.
     """
 
     name: str
@@ -46,7 +46,6 @@ class ActionProtocol:
     diversity_pairs: int = 200
     class_pairs: int = 20
     pairs: Literal["different", "with replacement"] = "with replacement"
-    spread: Literal["95 % interval", "1.96 · variance"] = "95 % interval"
     remarks: tuple[str, ...] = ()
 
 
@@ -54,9 +53,7 @@ VARIANCE = 'What the source prints after "±" is 1.96 · variance over seeds, wh
 ACTION_PROTOCOLS = (
     ActionProtocol("native", "motionkit", "docs/metrics.md", pairs="different"),
     ActionProtocol("a2m", "Action2Motion", "Guo et al. 2020, eval_scripts/final_evaluation.py", num_motions=3000),
-    ActionProtocol(
-        "actor", "ACTOR", "Petrovich et al. 2021, src/evaluate", spread="1.96 · variance", remarks=(VARIANCE,)
-    ),
+    ActionProtocol("actor", "ACTOR", "Petrovich et al. 2021, src/evaluate", remarks=(VARIANCE,)),
     ActionProtocol("mdm", "MDM", "Tevet et al. 2023, eval/eval_humanact12_uestc.py", num_motions=1000),
 )
 
@@ -87,7 +84,6 @@ def score_actions(
     draws: Sequence[Recognition],
     protocol: ActionProtocol,
     seed: int,
-    on_replication: Callable[[], None] = lambda: None,
 ) -> Scores:
     """Accuracy, FID, Diversity and MultiModality of generated (or real) motions under a protocol.
 
@@ -95,10 +91,8 @@ def score_actions(
     `fid`. `draws` are independent sets of motions, each with its own seed; replication r uses draw r modulo their
     number. With fewer draws than replications the interval covers less than the protocol intends, which a remark
     states. If a draw has more motions than the protocol uses, each replication takes a random subset. Raises
-    `ValueError` without any motions, for different numbers of features, or for non-finite values.
+    `ValueError` for different numbers of features, or for non-finite values.
     """
-    if not draws:
-        raise ValueError("there is no set of motions to score")
     scores = Scores(remarks=list(protocol.remarks))
     # As in `fid`: one thread of the linear algebra library is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
@@ -115,17 +109,14 @@ def score_actions(
                 )
             features, labels = motions.features, motions.labels
             scores.add("accuracy", accuracy(motions.scores, labels))
-            fitted = fit_gaussian(features) if gaussians else None
             for name, gaussian in gaussians.items():
-                assert fitted is not None
-                scores.add(f"fid_{name}" if name else "fid", frechet_distance(gaussian, fitted))
+                scores.add(f"fid_{name}" if name else "fid", frechet_distance(gaussian, fit_gaussian(features)))
             replace = protocol.pairs == "with replacement"
             suffix = "_with_replacement" if replace else ""
             spread = diversity(features, rng, protocol.diversity_pairs, replace=replace)
             scores.add(f"diversity{suffix}", spread)
             spread = multimodality_by_class(features, labels, rng=rng, num_pairs=protocol.class_pairs, replace=replace)
             scores.add(f"multimodality_by_class{suffix}", spread)
-            on_replication()
         scores.resampled |= _resampled(references, draws, protocol)
     scores.remark_on_draws(len(draws), protocol.replications)
     scores.sizes = {f"real ({name})" if name else "real": len(features) for name, features in references.items()}

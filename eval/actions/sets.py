@@ -73,31 +73,25 @@ def known_actions(samples: SampleSet, actions: Sequence[str]) -> ActionSet:
 
     Raises `NoActionsError` if none remain.
     """
-    index = {plain_name(action): label for label, action in enumerate(actions)}
-    found = np.array([index.get(plain_name(action), -1) for action in samples.actions or [""] * samples.num_sequences])
-    long_enough = samples.sequences.num_frames >= LEAST_FRAMES
-    kept = _of_several(found, np.flatnonzero((found >= 0) & long_enough))
-    left_out = []
-    unknown = (
-        Counter((samples.actions[i] or "no action") for i in np.flatnonzero(found < 0).tolist())
-        if samples.actions
-        else {}
-    )
+    label_of = {plain_name(action): label for label, action in enumerate(actions)}
+    names = samples.actions or ("",) * samples.num_sequences
+    labels = np.array([label_of.get(plain_name(name), -1) for name in names])
+    usable = np.flatnonzero((labels >= 0) & (samples.sequences.num_frames >= LEAST_FRAMES))
+    kept, left_out = _of_several(labels, usable), []
+    unknown = Counter(name or "no action" for name, label in zip(names, labels, strict=True) if label < 0)
     if unknown:
         listed = ", ".join(f"{action} ({count})" for action, count in sorted(unknown.items()))
-        left_out.append(f"{sum(unknown.values())} motions of actions that it does not know: {listed}")
-    counts = np.bincount(found[(found >= 0) & long_enough], minlength=len(actions))
-    if (counts == 1).any():
-        single = (actions[label] for label in np.flatnonzero(counts == 1).tolist())
-        left_out.append(f"actions with a single motion: {', '.join(single)}")
-    if short := int(((found >= 0) & ~long_enough).sum()):
+        left_out.append(f"{unknown.total()} motions of actions that it does not know: {listed}")
+    if single := sorted(set(labels[usable].tolist()) - set(labels[kept].tolist())):
+        left_out.append(f"actions with a single motion: {', '.join(actions[label] for label in single)}")
+    if short := int((labels >= 0).sum()) - len(usable):
         left_out.append(f"{short} motions of fewer than {LEAST_FRAMES} frames")
     if not len(kept):
         raise NoActionsError(
             f"{samples.name}: no motion has an action that the recogniser knows ({', '.join(actions)}); "
-            + ("; ".join(left_out) or "they have no actions")
+            + "; ".join(left_out)
         )
-    return ActionSet(samples.select(kept), found[kept], tuple(left_out))
+    return ActionSet(samples.select(kept), labels[kept], tuple(left_out))
 
 
 def with_rotations(store: Store, samples: SampleSet) -> SampleSet:

@@ -61,9 +61,5 @@ def test_what_cannot_be_learnt_or_described_is_said() -> None:
     )
     recogniser = fit_linear(rare)
     assert recogniser.actions == ACTIONS[:2]
-    with pytest.raises(MotionkitError, match="1 motions have fewer than 10 frames at 20 fps, the first is 'b' with 9"):
-        recogniser.recognise(sample_set("short", FPS, [acted("nod", 0), acted("nod", 0, 9)], ["a", "b"]))
     with pytest.raises(MotionkitError, match="30 fps, but the recogniser 'linear' was trained at 20 fps"):
         recogniser.recognise(sample_set("fast", Fraction(30), [acted("nod", 0)], ["a"]))
-    with pytest.raises(MotionkitError, match="21 joints"):
-        recogniser.recognise(sample_set("kit", FPS, [acted("nod", 0)[:, :21]], ["a"]))
