@@ -80,7 +80,7 @@ class GruNetwork(nn.Module):
 def humanact12_inputs(samples: SampleSet, rows: Rows) -> Float32[np.ndarray, "clips frames 72"]:
     """SMPL's 24 joints in HumanAct12's camera frame (y down, z away from it), metres, the first root at the origin.
 
-    22 joints get hands that extend the forearm. Raises `MotionkitError` for other numbers of joints.
+    22 joints get hands that extend the forearm.
     """
     clips = samples.sequences.values[rows]
     if clips.shape[2] == SMPL22.num_joints:
@@ -89,11 +89,6 @@ def humanact12_inputs(samples: SampleSet, rows: Rows) -> Float32[np.ndarray, "cl
         )
         hands = clips[:, :, wrists] + np.float32(HAND_PER_FOREARM) * (clips[:, :, wrists] - clips[:, :, elbows])
         clips = np.concatenate((clips, hands), axis=2)
-    if clips.shape[2] != SMPL.num_joints:
-        raise MotionkitError(
-            f"HumanAct12's recogniser needs SMPL's {SMPL.num_joints} joints, or {SMPL22.num_joints} without hands; "
-            f"these motions have {clips.shape[2]}"
-        )
     clips = (clips - clips[:, :1, :1]) * np.array([1, -1, -1], np.float32)
     return np.asarray(clips.reshape(*clips.shape[:2], -1))
 

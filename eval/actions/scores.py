@@ -7,12 +7,7 @@ from typing import Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from eval.metrics.actions import (
-    accuracy,
-    diversity,
-    multimodality_by_class,
-    shares_of_hits,
-)
+from eval.metrics.actions import accuracy, diversity, multimodality_by_class, shares_of_hits
 from eval.metrics.distributions import fit_gaussian, frechet_distance
 from eval.metrics.number import (
     Resampled,
@@ -26,6 +21,8 @@ from eval.metrics.number import (
 )
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float, Int
+
+Features = Float[np.ndarray, "_samples features"]
 
 
 @dataclass(frozen=True)
@@ -74,16 +71,9 @@ class Recognition:
     scores: Float[np.ndarray, "motions actions"]
     labels: Int[np.ndarray, "motions"]
 
-    def select(self, rows: Int[np.ndarray, "chosen"]) -> "Recognition":
-        """Some of the motions."""
-        return Recognition(self.features[rows], self.scores[rows], self.labels[rows])
-
 
 def score_actions(
-    references: Mapping[str, Float[np.ndarray, "_samples features"]],
-    draws: Sequence[Recognition],
-    protocol: ActionProtocol,
-    seed: int,
+    references: Mapping[str, Features], draws: Sequence[Recognition], protocol: ActionProtocol, seed: int
 ) -> Scores:
     """Accuracy, FID, Diversity and MultiModality of generated (or real) motions under a protocol.
 
@@ -101,7 +91,8 @@ def score_actions(
             rng = np.random.default_rng((seed, replication))
             motions, counted = draws[replication % len(draws)], protocol.num_motions
             if counted is not None and counted < len(motions.labels):
-                motions = motions.select(rng.choice(len(motions.labels), size=counted, replace=False))
+                rows = rng.choice(len(motions.labels), size=counted, replace=False)
+                motions = Recognition(motions.features[rows], motions.scores[rows], motions.labels[rows])
             elif counted is not None and counted > len(motions.labels):
                 scores.remark(
                     f"protocol {protocol.name!r} counts {counted:,} motions, here are {len(motions.labels):,}: "
@@ -113,8 +104,7 @@ def score_actions(
                 scores.add(f"fid_{name}" if name else "fid", frechet_distance(gaussian, fit_gaussian(features)))
             replace = protocol.pairs == "with replacement"
             suffix = "_with_replacement" if replace else ""
-            spread = diversity(features, rng, protocol.diversity_pairs, replace=replace)
-            scores.add(f"diversity{suffix}", spread)
+            scores.add(f"diversity{suffix}", diversity(features, rng, protocol.diversity_pairs, replace=replace))
             spread = multimodality_by_class(features, labels, rng=rng, num_pairs=protocol.class_pairs, replace=replace)
             scores.add(f"multimodality_by_class{suffix}", spread)
         scores.resampled |= _resampled(references, draws, protocol)
@@ -126,9 +116,7 @@ def score_actions(
 
 
 def _resampled(
-    references: Mapping[str, Float[np.ndarray, "_samples features"]],
-    draws: Sequence[Recognition],
-    protocol: ActionProtocol,
+    references: Mapping[str, Features], draws: Sequence[Recognition], protocol: ActionProtocol
 ) -> dict[str, Resampled]:
     """Every metric's bootstrap values; motions are resampled jointly in all sets, and with them their draws."""
     takes = [str(row) for draw in draws for row in range(len(draw.labels))]

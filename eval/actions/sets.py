@@ -7,7 +7,7 @@ from itertools import chain
 
 import numpy as np
 
-from eval.actions.recogniser import ActionRecogniser
+from eval.actions.recogniser import MIN_FRAMES, ActionRecogniser
 from eval.actions.scores import Recognition
 from eval.sets.motions import as_known, is_unconditional, refusal
 from eval.sets.sets import Missing, RowId, SampleSet, Variant, sample_set
@@ -20,12 +20,6 @@ from motionkit.fields.resample import resample
 from motionkit.generate.models import GenerationRequest, GenerativeModel
 from motionkit.io.smpl_body import SMPL
 from motionkit.store.reader import Store
-
-LEAST_FRAMES = 10
-"""Shorter motions are dropped: they show no action."""
-
-LEAST_MOTIONS = 2
-"""Actions with fewer motions are dropped: they have no MultiModality."""
 
 
 class NoActionsError(MotionkitError):
@@ -60,7 +54,7 @@ class ActionSet:
 
 def _of_several(labels: Int64[np.ndarray, "motions"], rows: Int64[np.ndarray, "some"]) -> Int64[np.ndarray, "kept"]:
     """The rows of which another one has the same label."""
-    return np.asarray(rows[np.bincount(labels[rows], minlength=1)[labels[rows]] >= LEAST_MOTIONS])
+    return np.asarray(rows[np.bincount(labels[rows], minlength=1)[labels[rows]] >= 2])
 
 
 def plain_name(action: str) -> str:
@@ -76,7 +70,7 @@ def known_actions(samples: SampleSet, actions: Sequence[str]) -> ActionSet:
     label_of = {plain_name(action): label for label, action in enumerate(actions)}
     names = samples.actions or ("",) * samples.num_sequences
     labels = np.array([label_of.get(plain_name(name), -1) for name in names])
-    usable = np.flatnonzero((labels >= 0) & (samples.sequences.num_frames >= LEAST_FRAMES))
+    usable = np.flatnonzero((labels >= 0) & (samples.sequences.num_frames >= MIN_FRAMES))
     kept, left_out = _of_several(labels, usable), []
     unknown = Counter(name or "no action" for name, label in zip(names, labels, strict=True) if label < 0)
     if unknown:
@@ -85,7 +79,7 @@ def known_actions(samples: SampleSet, actions: Sequence[str]) -> ActionSet:
     if single := sorted(set(labels[usable].tolist()) - set(labels[kept].tolist())):
         left_out.append(f"actions with a single motion: {', '.join(actions[label] for label in single)}")
     if short := int((labels >= 0).sum()) - len(usable):
-        left_out.append(f"{short} motions of fewer than {LEAST_FRAMES} frames")
+        left_out.append(f"{short} motions of fewer than {MIN_FRAMES} frames")
     if not len(kept):
         raise NoActionsError(
             f"{samples.name}: no motion has an action that the recogniser knows ({', '.join(actions)}); "

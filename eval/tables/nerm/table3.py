@@ -5,8 +5,7 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from eval.actions.linear import MIN_FRAMES, fit_linear
-from eval.actions.recogniser import ActionRecogniser, RecogniserSource, find_recogniser
+from eval.actions.recogniser import MIN_FRAMES, ActionRecogniser, RecogniserSource, find_recogniser, fit_linear
 from eval.actions.scores import ActionProtocol, Recognition, find_action_protocol, score_actions
 from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_actions, known_to_all, with_rotations
 from eval.metrics.actions import accuracy

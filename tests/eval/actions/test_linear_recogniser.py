@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 
-from eval.actions.linear import LEAST_SPREAD, SHRINKAGE, fit_linear, motion_statistics, statistics_of
+from eval.actions.recogniser import LEAST_SPREAD, SHRINKAGE, fit_linear, motion_statistics, statistics_of
 from eval.sets.sets import SampleSet, sample_set
 from motionkit.core.errors import MotionkitError
 from tests.helpers.acting import ACTIONS, acted
