@@ -108,19 +108,19 @@ class Block(nn.Module):
         return hidden + changed
 
 
-def _on_gaps(training: TemporalSettings, learning_rate: float | None = None) -> TemporalSettings:
-    return replace(on_task(IN_BETWEENING, training, learning_rate), answer=AnswerSettings("residual", "slerp"))
-
-
 # 300 epochs at 2e-4, a tenth of it after 200; gaps of 5 to 39 frames.
 PAPER = TemporalSettings(
     tasks=replace(IN_BETWEENING, longest_gap=39),
     answer=AnswerSettings(form="residual"),
     schedule=Schedule(epochs=300, learning_rate=2e-4, kind="steps", warmup_fraction=0.02, drop=0.1, drop_every=2 / 3),
 )
+NANO, BASE = (
+    replace(on_task(IN_BETWEENING, training, rate), answer=AnswerSettings("residual", "slerp"))
+    for training, rate in ((nano_training(), None), (base_training(), 2e-4))
+)
 RECIPES = {
-    "nano": (DeltaInterpNetworkConfig(96, 3, layers=2, heads=4, dropout=0.0), _on_gaps(nano_training())),
-    "base": (DeltaInterpNetworkConfig(512), _on_gaps(base_training(), 2e-4)),
+    "nano": (DeltaInterpNetworkConfig(96, 3, layers=2, heads=4, dropout=0.0), NANO),
+    "base": (DeltaInterpNetworkConfig(512), BASE),
     "paper": (DeltaInterpNetworkConfig(), PAPER),
 }
 DELTA_INTERP = completing_system("delta-interp", DeltaInterp, RECIPES)

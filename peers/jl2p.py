@@ -12,7 +12,7 @@ from torch.nn.functional import smooth_l1_loss
 from motionkit.core.shapes import Float
 from peers.generating import GIVEN, GIVEN_MINILM, SLOW, PeerConfig, PeerStage, cosine, dropping
 from peers.layers import ConditionVector, Latents, NetworkInputs, PeerNetwork, first_poses, last_states
-from peers.motions import Lengths, MotionBatch, Rows, SampleBatch
+from peers.motions import MotionBatch, Rows, SampleBatch
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,6 @@ class Jl2p(PeerNetwork):
         self.cell = nn.GRUCell(numbers, width)
         self.change = nn.Linear(width, numbers)
 
-    def encode(self, rows: Rows, lengths: Lengths) -> Latents:
-        """Codes of motions."""
-        return last_states(self.encoder(rows)[0], lengths)
-
     def decode(self, code: Latents, first: Float[Tensor, "batch numbers"], frames: int) -> Rows:
         """Standardised rows, starting from `first`; each step predicts the change of pose."""
         pose, poses = first, []
@@ -60,8 +56,10 @@ class Jl2p(PeerNetwork):
         rows = batch.rows[:, : curriculum[min(place, len(curriculum) - 1)]]
         frames = rows.shape[1]
         from_condition = bool(torch.rand((), generator=batch.generator) < 0.5)
-        lengths = batch.lengths.clamp(max=frames)
-        code = self.sentence(batch.conditions).tanh() if from_condition else self.encode(rows, lengths)
+        if from_condition:
+            code = self.sentence(batch.conditions).tanh()
+        else:
+            code = last_states(self.encoder(rows)[0], batch.lengths.clamp(max=frames))
         predicted = self.decode(code, first_poses(rows, self.config.mean_first, batch.generator), frames)
         mask = batch.mask[:, :frames]
         return {"loss": smooth_l1_loss(predicted[mask], rows[mask])}

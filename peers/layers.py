@@ -101,16 +101,14 @@ def first_poses(rows: Rows, mean_share: float, generator: torch.Generator) -> La
 
 def encoder_layer(sizes: TransformerSizes) -> nn.TransformerEncoderLayer:
     """A layer of self-attention."""
-    return nn.TransformerEncoderLayer(*_arguments(sizes), batch_first=True)
+    arguments = sizes.width, sizes.heads, sizes.inner, sizes.dropout
+    return nn.TransformerEncoderLayer(*arguments, activation="gelu", batch_first=True)
 
 
 def decoder_layer(sizes: TransformerSizes) -> nn.TransformerDecoderLayer:
     """A layer of self-attention and cross-attention."""
-    return nn.TransformerDecoderLayer(*_arguments(sizes), batch_first=True)
-
-
-def _arguments(sizes: TransformerSizes) -> tuple[int, int, int, float, str]:
-    return sizes.width, sizes.heads, sizes.inner, sizes.dropout, "gelu"
+    arguments = sizes.width, sizes.heads, sizes.inner, sizes.dropout
+    return nn.TransformerDecoderLayer(*arguments, activation="gelu", batch_first=True)
 
 
 def encoder(sizes: TransformerSizes) -> nn.TransformerEncoder:

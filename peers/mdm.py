@@ -61,13 +61,9 @@ class Mdm(PeerNetwork):
         return layers.diffusion_sample(network, batch, lambda: batch.noise_within(batch.lengths, self.numbers))
 
 
-def _in_50_steps(config: PeerConfig, ema_decay: float) -> PeerConfig:
-    """The same training with 50 diffusion steps."""
-    diffusion = replace(config.network.diffusion, num_steps=50, sampling_steps=50)
-    return replace(config, network=replace(config.network, diffusion=diffusion), ema_decay=ema_decay)
-
-
 NANO = PeerConfig(MdmNetworkConfig(SMALL), cosine(6000, 16, 1e-3), MINILM, precision="auto", ema_decay=0.995)
 PAPER = PeerConfig(MdmNetworkConfig(), Schedule(steps=600_000))
-NANO_50, PAPER_50 = _in_50_steps(NANO, 0.995), _in_50_steps(PAPER, 0.9999)
+IN_50 = replace(MdmNetworkConfig().diffusion, num_steps=50, sampling_steps=50)
+NANO_50 = replace(NANO, network=MdmNetworkConfig(SMALL, IN_50))
+PAPER_50 = replace(PAPER, network=MdmNetworkConfig(diffusion=IN_50), ema_decay=0.9999)
 MDM, MDM_50 = PeerStage("mdm", Mdm, NANO, PAPER), PeerStage("mdm-50", Mdm, NANO_50, PAPER_50)

@@ -95,7 +95,7 @@ def _by_channels(convolutions: nn.Module, values: Float[Tensor, "batch times inp
     return outputs
 
 
-def whole_snippets(batch: MotionBatch) -> tuple[Float[Tensor, "batch whole numbers"], Lengths]:
+def whole_snippets(batch: MotionBatch) -> tuple[Rows, Lengths]:
     """Rows truncated to whole snippets, and each motion's number of snippets."""
     counts = batch.lengths // SNIPPET
     return batch.rows[:, : SNIPPET * int(counts.max())], counts

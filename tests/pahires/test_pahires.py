@@ -1,37 +1,10 @@
-"""The parametric activation: moments, initialisations over layers, the table of sines; a network learns one motion."""
-
-import math
+"""The parametric activation: moments, initialisations over layers, the table of sines."""
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
 from motionkit.training.loop import seeded_initialisation
-from motionkit.training.networks import VectorScaling
 from pahires.activation import SLOPE_SQUARE, FourierActivation, Initialisation, gaussian_moments, linear
-from pahires.model import PaHiRes
-from pahires.temporal.base_curves import interpolated
-from pahires.temporal.network import ObservedWindow
-from pahires.temporal.prediction import Predictor
-from pahires.temporal.settings import AnswerSettings
-from tests.helpers.tiny_temporal import PAHIRES_NETWORK
-
-
-@given(seed=st.integers(0, 2**31), fastest=st.floats(0.1, 8.0))
-def test_closed_moments_are_those_of_quadrature(seed: int, fastest: float) -> None:
-    generator = torch.Generator().manual_seed(seed)
-    amplitudes, phases = torch.randn(2, 5, generator=generator, dtype=torch.float64)
-    frequencies = fastest * torch.rand(5, generator=generator, dtype=torch.float64)
-    x = torch.linspace(-9, 9, 20001, dtype=torch.float64)
-    weight = torch.exp(-(x**2) / 2) / math.sqrt(2 * math.pi) * (x[1] - x[0])
-    angle = frequencies[:, None] * x + phases[:, None]
-    value, slope = amplitudes @ torch.sin(angle), (amplitudes * frequencies) @ torch.cos(angle)
-    mean = float(weight @ value)
-    found = gaussian_moments(amplitudes, frequencies, phases)
-    assert found.mean == pytest.approx(mean, abs=1e-9)
-    assert found.variance == pytest.approx(float(weight @ value**2) - mean**2, abs=1e-9)
-    assert found.slope_square == pytest.approx(float(weight @ slope**2), abs=1e-9)
 
 
 @pytest.mark.parametrize("num_sines", [2, 8, 16, 32])
@@ -99,26 +72,3 @@ def test_the_table_is_the_sines_in_value_and_in_every_gradient(initialisation: I
         torch.autograd.grad(table, wanted, incoming), torch.autograd.grad(sines, wanted, incoming), strict=True
     ):
         assert float((mine - reference).norm() / reference.norm()) < 2e-3
-
-
-def test_one_motion_is_learnt_better_than_any_interpolation_of_it() -> None:
-    """A network that can represent a motion beats the curve that its answers correct, on that motion."""
-    times = torch.arange(0, 65, 8) / 30
-    queries = torch.arange(65) / 30
-
-    def rows(seconds: torch.Tensor) -> torch.Tensor:
-        phases = torch.linspace(0, 3, 135)
-        return torch.sin(2 * math.pi * 1.4 * seconds[:, None] + phases)[None]
-
-    window = ObservedWindow(rows(times), times[None], queries[None], torch.full((1,), 1 / 30))
-    with seeded_initialisation(0, "network"):
-        network = PaHiRes(PAHIRES_NETWORK, 135)
-    predictor = Predictor(network, VectorScaling(torch.zeros(135), torch.ones(135)), AnswerSettings("exact", "eased"))
-    optimizer = torch.optim.Adam(network.parameters(), lr=3e-3)
-    for _ in range(120):
-        optimizer.zero_grad()
-        loss = (predictor(window) - rows(queries)).square().mean()
-        loss.backward()
-        optimizer.step()
-    curve = (interpolated(window, "eased", predictor.scaling) - rows(queries)).square().mean()
-    assert float(loss.detach()) < 0.1 * float(curve)

@@ -139,28 +139,6 @@ def test_super_resolution_is_its_plain_reference(name: str, kept: list[int]) -> 
             close(made[batch, query], (1 - share) * first + share * second)
 
 
-@torch.no_grad()
-def test_delta_interp_is_its_plain_reference() -> None:
-    network, window = small("delta-interp"), window_of(AROUND, GAP)
-    assert isinstance(network, DeltaInterp)
-    made, length = network(window), network.length(torch.tensor([6.0]))[0]
-
-    def entered(layer: nn.Linear, pose: Tensor, frame: float) -> Tensor:
-        return layer(torch.cat((pose, network.position(torch.tensor([frame]))[0], length)))
-
-    for batch, poses in enumerate(window.frames):
-        given = torch.stack([entered(network.given, poses[row] - poses[9], float(AROUND[row])) for row in range(11)])
-        missing = torch.stack([entered(network.missing, torch.zeros(POSE), frame) for frame in GAP])
-        for block in network.blocks:
-            for rows in ("given", "missing"):
-                queries = given if rows == "given" else missing
-                keys = given[None]
-                hidden = torch.relu(block.norm(queries + block.attention(queries[None], keys, keys)[0][0]))
-                hidden = hidden + block.residual(hidden)
-                given, missing = (hidden, missing) if rows == "given" else (given, hidden)
-        close(made[batch], network.output(missing))
-
-
 def _encoded(
     encoder: RelativeEncoder, rows: Tensor, positions: Tensor, keys: int, added: Tensor | float = 0.0
 ) -> Tensor:

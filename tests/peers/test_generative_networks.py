@@ -20,17 +20,17 @@ from motionkit.features import field, native
 from motionkit.features.convention import PoseVectors
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.features.native import NativeVectors
-from motionkit.training.config import DiffusionConfig, Prediction
+from motionkit.training.config import DiffusionConfig
 from motionkit.training.loop import dropout_from, step_generator
 from motionkit.training.networks import Conditions, ConditionSizes, VectorScaling
 from peers.actor import ACTOR
 from peers.camdm import CAMDM
 from peers.flow import FLOW, AbsoluteCoordinates, Flow, FlowLayer, FlowNetworkConfig
 from peers.generating import PeerStage
-from peers.hier import HIER, Hier, HierNetworkConfig, body_parts
+from peers.hier import HIER, body_parts
 from peers.inr_mlp import INR_MLP, fit_mixture, length_intervals
 from peers.jl2p import JL2P
-from peers.layers import NetworkInputs, PeerNetwork, TransformerSizes, diffusion_loss, diffusion_sample
+from peers.layers import NetworkInputs, PeerNetwork, TransformerSizes
 from peers.mdm import MDM, MDM_50, Mdm, MdmNetworkConfig
 from peers.mld import MLD, LongSkips, Mld, MldNetworkConfig, MldVae, MldVaeNetworkConfig
 from peers.motions import MotionBatch, PoseSpace, SampleBatch, frames_within
@@ -192,25 +192,6 @@ def test_joints_are_those_of_the_vectors() -> None:
     np.testing.assert_allclose(found[0].numpy(), native.positions(vectors, "smpl22", FPS), atol=1e-5)
 
 
-@pytest.mark.parametrize("prediction", ["noise", "latent", "velocity"])
-@pytest.mark.parametrize("sampler", ["ddpm", "ddim"])
-def test_nothing_is_copied_from_the_device_in_a_step(sampler: str, prediction: Prediction) -> None:
-    """A tensor on torch's device "meta" has no values, so copying it to the CPU is an error."""
-    device = torch.device("meta")
-    config = DiffusionConfig(8, "cosine", prediction=prediction, sampler=sampler, sampling_steps=8, guidance_scale=2.5)
-
-    def output(noisy: Tensor, steps: Tensor, given: Conditions) -> Tensor:
-        assert {noisy.device, steps.device, given.given.device} == {device}
-        return noisy
-
-    batch = batch_of([3, 2]).at_step(0, 1, device)
-    assert diffusion_loss(output, config, batch, batch.rows, batch.mask).device == device
-    generators = [torch.Generator() for _ in range(2)]
-    wanted = SampleBatch(torch.tensor([3, 2]), batch.conditions, batch.conditions, generators, config)
-    found = diffusion_sample(output, wanted, lambda: wanted.noise_within(wanted.lengths, 4))
-    assert (found.device, found.dtype, found.shape) == (device, torch.float64, (2, 3, 4))
-
-
 def test_mixtures_are_of_motions_of_one_action_and_length() -> None:
     lengths = np.repeat([30, 60, 62, 90], 40)
     found = [np.unique(lengths[rows]).tolist() for rows in length_intervals(lengths)]
@@ -235,36 +216,6 @@ def test_body_parts_are_the_joints_that_their_names_say() -> None:
         joints |= {(number - 193) // 3 for number in numbers if 193 <= number < 259}
         assert len(joints) == 4 and own[list(joints)].all()
         assert tuple(number for number in numbers if number >= 259) == contacts
-
-
-def test_hier() -> None:
-    network = Hier(HierNetworkConfig(part=3, limb=5, width=7, critic=(4, 6)), inputs()).eval()
-    for norm in network.encoder.norms:
-        norm.running_mean.normal_(), norm.running_var.uniform_(0.5, 2.0)
-    batch, parts, encoder, decoder = batch_of([4, 2]), body_parts(space()), network.encoder, network.decoder
-    codes = encoder(batch.rows, batch.lengths)
-    made = decoder(codes, batch.rows[:, 0], 3)
-    for row, length in enumerate((4, 2)):
-        rows, states = batch.rows[row, :length], []
-        inner = [layer(rows[:, own]) for layer, own in zip(encoder.of_parts, parts, strict=True)]
-        limbs = [encoder.of_limbs[limb](torch.cat((inner[limb], inner[4]), dim=1)) for limb in range(4)]
-        for half in range(2):
-            pair = encoder.norms[half](torch.cat(limbs[2 * half : 2 * half + 2], dim=1))
-            states.append(encoder.cells[half](pair)[1][0])
-        close(codes[:, row], torch.stack(states))
-        pose = batch.rows[row, 0]
-        for frame in range(3):
-            change, trunks = torch.zeros(263), []
-            for half in range(2):
-                states[half] = decoder.cells[half](pose[parts[2 * half] + parts[2 * half + 1] + parts[4]], states[half])
-                pair = decoder.to_pairs[half](states[half])
-                for limb, own in ((2 * half, pair[:5]), (2 * half + 1, pair[5:])):
-                    inner_limb = decoder.to_limbs[limb](own)
-                    change[parts[limb]] = decoder.to_parts[limb](inner_limb[:3])
-                    trunks.append(decoder.to_parts[4](inner_limb[3:]))
-            change[parts[4]] = torch.stack(trunks).mean(dim=0)
-            pose = pose + change
-            close(made[row, frame], pose)
 
 
 def test_nemf() -> None:

@@ -8,11 +8,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionkit.core.skeleton import SMPL22
 from motionkit.features import rotations
 from motionkit.store.reader import Store
 from motionkit.training.config import apply_overrides
-from pahires.temporal.base_curves import WindowFrames
 from pahires.temporal.settings import TaskSettings, TemporalSettings
 from pahires.temporal.system import open_takes
 from pahires.temporal.windows import TASKS, WindowSampler, draw_layout
@@ -75,13 +73,3 @@ def test_windows_hold_what_was_captured_at_their_times(store: Store, finer: bool
         assert middle[:, [0, 2]].abs().max() < 1e-5
         assert (batch.window.times_seconds.diff(dim=1) > 0).all() and (batch.window.times_seconds[:, 0] == 0).all()
     assert rates == ({30, 40, 60, 120} if finer else {30})
-
-
-def test_a_window_does_not_depend_on_where_it_happened() -> None:
-    rng = np.random.default_rng(5)
-    q = rng.normal(size=(3, 7, 22, 4))
-    columns = rotations.two_columns(q / np.linalg.norm(q, axis=-1, keepdims=True))
-    here = np.concatenate((rng.normal(size=(3, 7, 3)), columns), axis=-1).astype(np.float32)
-    there = rotations.to_world(here, np.array([1.0, -2.0, 3.0]), rng.normal(size=(3, 2)))
-    inside = [WindowFrames.of(each, SMPL22).to_window(each) for each in (here, there)]
-    np.testing.assert_allclose(inside[0], inside[1], atol=1e-5)
