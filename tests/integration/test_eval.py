@@ -167,9 +167,6 @@ def test_every_published_layout_gets_its_row(motionkit, store, tmp_path):
     assert "6 motions at 20 fps" in rows["MoMask"]["note"]
     assert "1 of 7 motions left out (1 nan)" in rows["T2M-GPT"]["note"]
     assert "6 motions at 12.5 fps" in rows["KIT"]["note"]
-    note = result["blocks"][0]["note"]
-    assert "At 20 fps these have no more motions than there are features (" in note
-    assert "MDM (6)" in note
     assert {"kid", "precision"} <= {key.lower() for key in rows["MDM"]["cells"]["20 fps"]["details"]}
     assert len(result["provenance"]["samples"]) == len(folders)
 

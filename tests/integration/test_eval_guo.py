@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import motionkit as mk
+from eval.native_evaluator.evaluator import NativeEvaluator
 from eval.tables.nerm import table1
 from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.features import humanml3d
@@ -158,10 +159,12 @@ def walking(times_seconds: np.ndarray, take: int) -> np.ndarray:
     return body.astype(np.float32)
 
 
-class Lengths:
+class Lengths(NativeEvaluator):
     """An evaluator of 22 joints that sees how long a motion is and how far it goes."""
 
-    name, fingerprint, fps, layout, pair_score = "lengths", "1", None, "smpl22", ""
+    name, fingerprint, pair_score = "lengths", "1", ""
+
+    def __init__(self) -> None: ...
 
     def remark_at(self, fps: Fraction) -> str:
         return ""

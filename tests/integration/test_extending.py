@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import motionkit as mk
+from motionkit.io import registry
 from tests.helpers.outcome import Outcome
 from tests.helpers.repository import REPOSITORY
 
@@ -35,9 +36,14 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         (folder / path).parent.mkdir(exist_ok=True)
         (folder / path).write_text(text, encoding="utf-8")
     (folder / "standstill" / "__init__.py").touch()
+    kept = (registry._installed, registry.readers, registry.writers, registry.reader_of)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
+        for each in kept:
+            each.cache_clear()
         yield folder
+    for each in kept:
+        each.cache_clear()
 
 
 @pytest.fixture(autouse=True)
