@@ -7,14 +7,13 @@ hour and a half on two cores), `nano` and `demo` (minutes there).
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
 from typing import Literal
 
 from motionkit.core.files import write_whole
 from motionkit.core.plugins import lazily
 from motionkit.core.timegrid import parse_fps
 from motionkit.features.convention import PoseVectorsName
-from motionkit.training.ablations import Ablation, Ablations, Entry, Variant
+from motionkit.training.ablations import Ablation, Ablations, Variant
 from motionkit.training.config import (
     ConfigLike,
     DiffusionConfig,
@@ -480,91 +479,57 @@ def _has_published_codebook(run: RunFolder) -> bool:
 # model is trained once for all. The paper's tables use its own layout of z, `global`; rows of our layout, `local`, are
 # added where they apply.
 
-# Overrides for a recipe made for the other layout.
-LAYOUTS: dict[LatentLayout, tuple[str, ...]] = {
-    "global": (
-        "field.latents.layout=global",
-        "field.optimizer.latent_learning_rate=1e-1",
-        "denoiser.network.latent_tokens=1",
-    ),
-    "local": ("field.latents.layout=local",),
-}
+
+def _rows(layout: LatentLayout, *changes: tuple[str, ...]) -> tuple[Variant, ...]:
+    """Rows of a layout: a label; for a run that differs from the recipe in that layout also its name, and a setting."""
+    settings = [f"field.latents.layout={layout}"]
+    if layout == "global":
+        settings += ["field.optimizer.latent_learning_rate=1e-1", "denoiser.network.latent_tokens=1"]
+
+    def needs(recipe: NermConfig) -> tuple[str, ...]:
+        """Settings for a recipe made for the other layout."""
+        return () if recipe.field.latents.layout == layout else tuple(settings)
+
+    return tuple(
+        Variant("-".join((layout, *name[:1])), tuple(name[1:]), f"{layout}: {label}", needs=needs)
+        for label, *name in changes
+    )
 
 
-def _needs(layout: LatentLayout, recipe: NermConfig) -> tuple[str, ...]:
-    return () if recipe.field.latents.layout == layout else LAYOUTS[layout]
-
-
-def _row(layout: LatentLayout, label: str, name: str = "", change: str = "") -> Entry:
-    """A row that changes a setting of a layout; `name` is the variant's, "" for the layout as the recipe has it."""
-    changes = (change,) if change else ()
-    variant = Variant(f"{layout}-{name}" if name else layout, changes, partial(_needs, layout))
-    return Entry(f"{layout}: {label}", variant)
-
-
-def _table(number: str, title: str, *rows: Entry, stages: tuple[str, ...] = ("field", "denoiser")) -> Ablation:
-    return Ablation(number, title, rows, stages)
-
-
+_BOTH = ("field", "denoiser")
 _NO_TIME = ("no coordinate at all", "no-time", "field.encoder.kind=none")
+_RAW_TIME = ("the coordinate itself", "raw-time", "field.encoder.kind=raw")
 _FOURIER = ("Fourier features", "fourier", "field.encoder.kind=fourier")
+_CODEBOOK = ("Fourier features and codebook",)
 _POINT = ("one z a window, no distribution (Eq. 9)", "non-variational", "field.latents.variational=false")
+_VARIATIONAL = ("variational",)
+_SIZES = (
+    ("d = 128", "d-128", "field.latents.dimension=128"),
+    ("d = 256",),
+    ("d = 512", "d-512", "field.latents.dimension=512"),
+    ("λ_KL = 1e-5", "kl-1e-5", "field.loss.kl_weight=1e-5"),
+    ("λ_KL = 1e-4",),
+    ("λ_KL = 1e-3", "kl-1e-3", "field.loss.kl_weight=1e-3"),
+)
+# Knots lie at normalised coordinates, so Table 9 has no rows of the local layout.
+_FRAME_NUMBERS = ("frame numbers 1 … T", "frame-numbers", "field.encoder.coordinates=frames")
 _FRAMERATES = (
     ("as the recipe",),
     ("no warm-up at one framerate", "warmup-0", "field.clips.warmup_fraction=0"),
     ("half of the steps at 20 fps", "warmup-50", "field.clips.warmup_fraction=0.5"),
     ("all steps at 20 fps (NeRM-fixed)", "fixed-20", "field.clips.fixed_fps=20"),
 )
+_TIMES = _rows("global", _NO_TIME, _RAW_TIME, _FOURIER, _CODEBOOK) + _rows("local", _NO_TIME, _FOURIER, _CODEBOOK)
+_LATENTS = _rows("global", _POINT, _VARIATIONAL) + _rows("local", _POINT, _VARIATIONAL)
+_DECODERS = _rows("global", ("transformer", "transformer", "field.decoder.kind=transformer"), ("MLP",))
+_LAYOUTS = _rows("global", *_FRAMERATES) + _rows("local", *_FRAMERATES)
 _TABLES = (
-    _table(
-        "5",
-        "time encoding",
-        _row("global", *_NO_TIME),
-        _row("global", "the coordinate itself", "raw-time", "field.encoder.kind=raw"),
-        _row("global", *_FOURIER),
-        _row("global", "Fourier features and codebook"),
-        _row("local", *_NO_TIME),
-        _row("local", *_FOURIER),
-        _row("local", "Fourier features and codebook"),
-    ),
-    _table(
-        "6",
-        "variational latents",
-        _row("global", *_POINT),
-        _row("global", "variational"),
-        _row("local", *_POINT),
-        _row("local", "variational"),
-    ),
-    _table(
-        "7",
-        "decoder",
-        _row("global", "transformer", "transformer", "field.decoder.kind=transformer"),
-        _row("global", "MLP"),
-    ),
-    _table(
-        "8",
-        "size of z and weight of the KL term",
-        _row("global", "d = 128", "d-128", "field.latents.dimension=128"),
-        _row("global", "d = 256"),
-        _row("global", "d = 512", "d-512", "field.latents.dimension=512"),
-        _row("global", "λ_KL = 1e-5", "kl-1e-5", "field.loss.kl_weight=1e-5"),
-        _row("global", "λ_KL = 1e-4"),
-        _row("global", "λ_KL = 1e-3", "kl-1e-3", "field.loss.kl_weight=1e-3"),
-        stages=("field",),
-    ),
-    # Knots lie at normalised coordinates, so this table has no rows of the local layout.
-    _table(
-        "9",
-        "time normalisation",
-        _row("global", "frame numbers 1 … T", "frame-numbers", "field.encoder.coordinates=frames"),
-        _row("global", "normalised to [−1, 1]"),
-    ),
-    _table(
-        "ours",
-        "layout of z, and framerates in training",
-        *(_row("global", *change) for change in _FRAMERATES),
-        *(_row("local", *change) for change in _FRAMERATES),
-    ),
+    Ablation("5", "time encoding", _TIMES, _BOTH),
+    Ablation("6", "variational latents", _LATENTS, _BOTH),
+    Ablation("7", "decoder", _DECODERS, _BOTH),
+    Ablation("8", "size of z and weight of the KL term", _rows("global", *_SIZES), ("field",)),
+    Ablation("9", "time normalisation", _rows("global", _FRAME_NUMBERS, ("normalised to [−1, 1]",)), _BOTH),
+    Ablation("ours", "layout of z, and framerates in training", _LAYOUTS, _BOTH),
 )
 
 

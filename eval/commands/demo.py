@@ -1,17 +1,15 @@
 """`motionkit demo`: the whole job on the embedded corpus, by the commands' own functions."""
 
 import shutil
-import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext, redirect_stdout
-from dataclasses import asdict
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from motionkit.cli.console import print_json, stderr, stdout
+from motionkit.cli.console import stderr, stdout
 
 if TYPE_CHECKING:
     from motionkit.core.motion import Motion
@@ -19,60 +17,25 @@ if TYPE_CHECKING:
 
 RECIPE = "demo"
 PICTURED_ACTIONS = ("walk", "jump", "wave")
-PICTURED_SECONDS, PICTURED_FPS = 4.0, "60"
+PICTURED_SECONDS = 4.0
 MARKER = "DEMO.txt"
-# Every n-th sequence, settings on top of the recipe, the table's options, generated motions in the picture.
-FULL: dict[str, Any] = {
-    "every": 1,
-    "overrides": [],
-    "table": {"clips": 1024, "replications": 5, "motions": 256},
-    "pictured": 3,
-}
+# Every n-th sequence, the training's settings, generated motions in the picture, the table's options.
+FULL: dict[str, Any] = {"every": 1, "overrides": [], "pictured": 3}
+FULL_TABLE: dict[str, Any] = {"clips": 1024, "replications": 5, "motions": 256}
 # Enough to see that every step works; its numbers mean nothing.
-SMALLEST: dict[str, Any] = {
-    "every": 2,
-    "overrides": ["codebook.schedule.steps=8", "field.schedule.steps=40", "denoiser.schedule.steps=40"],
-    "table": {"clips": 128, "replications": 2, "motions": 16},
-    "pictured": 1,
-}
+FEW_STEPS = ["codebook.schedule.steps=8", "field.schedule.steps=40", "denoiser.schedule.steps=40"]
+SMALLEST: dict[str, Any] = {"every": 2, "overrides": FEW_STEPS, "pictured": 1}
+SMALLEST_TABLE: dict[str, Any] = {"clips": 128, "replications": 2, "motions": 16}
 
 
 def demo(
-    folder: Annotated[Path, typer.Option(help="Folder for corpus, store, run, motions, table and picture.")] = (
-        Path("demo")
-    ),
-    smallest: Annotated[
-        bool, typer.Option("--smallest", help="Only to see that everything works: its numbers mean nothing.")
-    ] = False,
+    folder: Annotated[Path, typer.Option(help="Folder for everything from corpus to picture.")] = Path("demo"),
+    smallest: Annotated[bool, typer.Option("--smallest", help="To see that all works: numbers mean nothing.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Everything random follows from it.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print Table 2 and where everything lies as JSON.")] = False,
 ) -> None:
     """Do the whole job on an embedded corpus: ingest, train NeRM, generate, evaluate Table 2, draw it.
 
     Example: motionkit demo --smallest
-    """
-    from eval.report.results import read_result
-
-    names = {"corpus": "corpus", "store": "store", "run": "runs", "motions": "generated", "table": "results"}
-    names |= {"picture": "demo.png", "strips": "motions.png"}
-    places = {name: folder / place for name, place in names.items()}
-    # With --json, what the steps print is progress: stdout holds one document.
-    with redirect_stdout(sys.stderr) if as_json else nullcontext():
-        seconds = _run(places, SMALLEST if smallest else FULL, seed)
-    if as_json:
-        table = asdict(read_result(places["table"] / "nerm-table2.json"))
-        print_json({"places": {name: str(place) for name, place in places.items()}, "seconds": seconds, "table": table})
-        return
-    stderr.print(f"demo: {', '.join(f'{name} {spent:.0f} s' for name, spent in seconds.items())}")
-    for name, place in places.items():
-        stdout.print(f"{name + ':':9} {place}")
-
-
-def _run(places: dict[str, Path], size: dict[str, Any], seed: int) -> dict[str, float]:
-    """The whole chain, replacing an earlier demo; returns the seconds of each step.
-
-    The steps print what their commands print. Raises `UsageError` for a folder with other content, and
-    `MissingExtraError` without the extra `text`.
     """
     from eval.commands.eval import evaluate
     from motionkit.cli.generate import generate
@@ -84,6 +47,10 @@ def _run(places: dict[str, Path], size: dict[str, Any], seed: int) -> dict[str, 
     from motionkit.training.run import choose_stages
     from motionkit.training.text import load_text_encoder
 
+    names = {"corpus": "corpus", "store": "store", "run": "runs", "motions": "generated", "table": "results"}
+    names |= {"picture": "demo.png", "strips": "motions.png"}
+    places = {name: folder / place for name, place in names.items()}
+    size, table = (SMALLEST, SMALLEST_TABLE) if smallest else (FULL, FULL_TABLE)
     settings = flatten(choose_stages("denoiser")[0].recipe(RECIPE))
     load_text_encoder(str(settings["denoiser.conditions.text_encoder"]))  # fail now, not after minutes of training
     _prepare(places)
@@ -94,7 +61,7 @@ def _run(places: dict[str, Path], size: dict[str, Any], seed: int) -> dict[str, 
         stderr.print(f"demo: {name} …")
         started = time.monotonic()
         yield
-        seconds[name] = round(time.monotonic() - started, 1)
+        seconds[name] = time.monotonic() - started
 
     of_run: dict[str, Any] = {"runs": places["run"], "seed": seed}
     with step("corpus"):
@@ -106,21 +73,17 @@ def _run(places: dict[str, Path], size: dict[str, Any], seed: int) -> dict[str, 
             train(stage=stage, recipe=RECIPE, store=places["store"], overrides=size["overrides"], **of_run)
     with step("generate"):
         real = _pictured(Store.open(places["store"]), size["pictured"])
-        generate(
-            [motion.captions[0].text for motion in real],
-            fps=PICTURED_FPS,
-            seconds=PICTURED_SECONDS,
-            out=places["motions"],
-            file_format="bvh",
-            run=RECIPE,
-            **of_run,
-        )
+        texts = [motion.captions[0].text for motion in real]
+        shape: dict[str, Any] = {"fps": "60", "seconds": PICTURED_SECONDS, "file_format": "bvh"}
+        generate(texts, out=places["motions"], run=RECIPE, **shape, **of_run)
     with step("eval"):
-        evaluation = {"table": "2", "evaluator": "kinematic", **size["table"]}
-        evaluate(store=places["store"], run=RECIPE, results=places["table"], **evaluation, **of_run)
+        of_run |= {"store": places["store"], "run": RECIPE, "results": places["table"]}
+        evaluate("2", evaluator="kinematic", **table, **of_run)
     with step("picture"):
         _draw(places, real)
-    return seconds
+    stderr.print(f"demo: {', '.join(f'{name} {spent:.0f} s' for name, spent in seconds.items())}")
+    for name, place in places.items():
+        stdout.print(f"{name + ':':9} {place}")
 
 
 def _pictured(store: "Store", number: int) -> "list[Motion]":

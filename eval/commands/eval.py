@@ -24,6 +24,8 @@ SHOWN_PROBLEMS = 10
 REAL, EVALUATED, EVALUATOR = "Real motion", "What is evaluated", "Evaluator"
 CLIPS = "clip-FID (table 2, figures, --calibrate)"
 PROTOCOL = "Protocol of whole motions (tables 1 and 3)"
+EVALUATORS = "kinematic,native,guo,motion-clip,tmr; all there are. Of actions: linear, …"
+PROTOCOLS = "native, nerm, t2m, mdm, mld, t2m-gpt, momask, mardm, tmr, kimodo; of actions: a2m, …"
 
 
 def _option(panel: str, help: str, *names: str, **more: Any) -> Any:
@@ -31,65 +33,33 @@ def _option(panel: str, help: str, *names: str, **more: Any) -> Any:
 
 
 def evaluate(
-    table: Annotated[
-        str | None, typer.Option(help="Number of the table in the paper; all: every one, figures too.")
-    ] = None,
+    table: Annotated[str | None, typer.Option(help="Number of the paper's table; all: every one, figures too.")] = None,
     figure: Annotated[str | None, typer.Option(help="Figure to build as a table, by its number: 5, 8.")] = None,
-    calibrate: Annotated[
-        bool, typer.Option("--calibrate", help="Check that clip-FID rises with damage, and only with damage.")
-    ] = False,
+    calibrate: Annotated[bool, typer.Option("--calibrate", help="Check that clip-FID rises with damage.")] = False,
     paper: Annotated[str, typer.Option(help="Paper whose table is meant.")] = "nerm",
     results: Annotated[Path | None, typer.Option(help="Folder for the JSON result and its Markdown table.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
     store: Annotated[Path | None, _option(REAL, "Store with the real motion.")] = None,
     split: Annotated[str, _option(REAL, "Real sequences to compare with: a split, or all.")] = "test",
-    where: Annotated[
-        str | None, _option(REAL, 'Only real sequences for which this holds: "len(quality_flags) = 0".', metavar="SQL")
-    ] = None,
+    where: Annotated[str | None, _option(REAL, "Only real sequences for which this holds.", metavar="SQL")] = None,
     runs: Annotated[Path | None, _option(EVALUATED, "Folder of all runs.")] = None,
     run: Annotated[str, _option(EVALUATED, "Trained run to evaluate; without one its rows are left out.")] = "nano",
-    samples: Annotated[
-        list[str] | None,
-        _option(EVALUATED, "A folder of another system's motions, as a row (docs/samples.md).", metavar="NAME=DIR"),
-    ] = None,
-    samples_fps: Annotated[
-        str | None, _option(EVALUATED, "Framerate of samples whose files do not say it.", metavar="FPS")
-    ] = None,
-    allow_broken: Annotated[
-        bool,
-        typer.Option("--allow-broken", help="Exit with 0 even if samples were left out.", rich_help_panel=EVALUATED),
-    ] = False,
-    encoder: Annotated[
-        list[str] | None,
-        _option(EVALUATED, "Another run's encoder of completed motion, as a row: liif=wide.", metavar="NAME=RUN"),
-    ] = None,
+    samples: Annotated[list[str] | None, _option(EVALUATED, "Another system's motions.", metavar="NAME=DIR")] = None,
+    samples_fps: Annotated[str | None, _option(EVALUATED, "Framerate of samples without one.", metavar="FPS")] = None,
+    encoder: Annotated[list[str] | None, _option(EVALUATED, "Another run's encoder.", metavar="NAME=RUN")] = None,
     motions: Annotated[int, _option(EVALUATED, "Maximum number of motions that a model generates.", min=2)] = 1024,
-    draws: Annotated[
-        int, _option(EVALUATED, "How often a model generates the whole set; published protocols: 20.", min=1)
-    ] = 1,
+    draws: Annotated[int, _option(EVALUATED, "How often a model generates the set (published: 20).", min=1)] = 1,
     fps: Annotated[str | None, _option(CLIPS, "Framerates, such as 20,60,120; the table's own by default.")] = None,
     clips: Annotated[int, _option(CLIPS, "Clips on each side (N).", min=64)] = 4096,
     replications: Annotated[int, _option(CLIPS, "Independent repetitions behind the intervals.", min=1)] = 20,
     sizes: Annotated[str, _option(CLIPS, "Clip sizes in poses.")] = "16:64",
-    evaluator: Annotated[
-        str | None, _option(EVALUATOR, "kinematic,native,guo,motion-clip,tmr; all there are. Of actions: linear, …")
-    ] = None,
-    weights: Annotated[
-        Path | None, _option(EVALUATOR, "The published evaluator's or recogniser's file: finest.tar.", metavar="FILE")
-    ] = None,
-    glove: Annotated[
-        Path | None, _option(EVALUATOR, "Its word vectors: our_vab_data.npy, _words.pkl, _idx.pkl.", metavar="DIR")
-    ] = None,
-    statistics: Annotated[
-        Path | None, _option(EVALUATOR, "Its mean.npy and std.npy; beside the weights by default.", metavar="DIR")
-    ] = None,
-    motion_clip: Annotated[
-        Path | None, _option(EVALUATOR, "MARDM's MotionCLIP: finest.tar, its statistics, CLIP's words.", metavar="DIR")
-    ] = None,
-    protocol: Annotated[
-        str, _option(PROTOCOL, "native, nerm, t2m, mdm, mld, t2m-gpt, momask, mardm, tmr, kimodo; of actions: a2m, …")
-    ] = "native",
+    evaluator: Annotated[str | None, _option(EVALUATOR, EVALUATORS)] = None,
+    weights: Annotated[Path | None, _option(EVALUATOR, "The published evaluator's file.", metavar="FILE")] = None,
+    glove: Annotated[Path | None, _option(EVALUATOR, "Its word vectors: our_vab_data.npy, …", metavar="DIR")] = None,
+    statistics: Annotated[Path | None, _option(EVALUATOR, "Its mean.npy and std.npy.", metavar="DIR")] = None,
+    motion_clip: Annotated[Path | None, _option(EVALUATOR, "MARDM's MotionCLIP, finest.tar …", metavar="DIR")] = None,
+    protocol: Annotated[str, _option(PROTOCOL, PROTOCOLS)] = "native",
 ) -> None:
     """Build one of the papers' tables or figures, or calibrate the features that clip-FID is computed on.
 
@@ -100,18 +70,18 @@ def evaluate(
     from eval.tables.table import EvalConfig
 
     tables = _chosen(table, figure, calibrate, paper)
-    if calibrate and samples:
-        raise UsageError("--calibrate damages real motion by itself: leave out --samples")
-    if weights is None and (glove or statistics):
-        option = "--glove" if glove else "--statistics"
-        raise UsageError(f"{option} needs a published evaluator: give its weights with --weights finest.tar")
     guo = None
     if weights is not None:
         from eval.text_motion.guo import GuoFiles
 
         guo = GuoFiles(weights, glove, statistics)
+    elif glove or statistics:
+        raise UsageError("--glove and --statistics need a published evaluator: give its --weights finest.tar")
     folder = runs or default_path("runs")
     own = folder / run if not samples or (folder / run).is_dir() else None
+    encoders = tuple((name, folder / of) for name, of in _pairs("--encoder", encoder or [], "RUN"))
+    if absent := [path for _, path in encoders if not path.is_dir()]:
+        raise UsageError(f"--encoder: there is no run {str(absent[0])!r}")
     config = EvalConfig(
         store=store or default_path("store"),
         results=results or default_path("results"),
@@ -120,7 +90,7 @@ def evaluate(
         run=own,
         samples=named_samples(samples or [], own),
         sample_options=SampleOptions(framerates(samples_fps, "--samples-fps")[0] if samples_fps else None),
-        encoders=tuple(_encoder(pair, folder) for pair in encoder or []),
+        encoders=encoders,
         max_motions=motions,
         draws=draws,
         evaluators=tuple(evaluator.split(",")) if evaluator else None,
@@ -135,14 +105,14 @@ def evaluate(
     built = []
     with progress() as show:
         config = replace(config, on_progress=show)
-        if any(each.takes_samples for each in tables.values()):
-            _print_left_out(config)
+        for folder_of in config.sample_folders if any(each.takes_samples for each in tables.values()) else ():
+            for problem in folder_of.left_out[:SHOWN_PROBLEMS]:
+                stderr.print(f"left out of {folder_of.name!r}: {problem}")
         if own is None:
             stderr.print(f"there is no run {str(folder / run)!r}: only --samples have rows")
         for number, each in tables.items():
             try:
                 built.append(_build(config, each, as_json))
-                _require_rows(config, built[-1])
             except MotionkitError as error:
                 failed[number] = error
     if as_json and (built or table == ALL):
@@ -152,10 +122,15 @@ def evaluate(
         raise UsageError(f"{len(built)} of {len(tables)} were built. {reasons}")
     for reason in failed.values():
         raise reason
-    left_out = {folder.name: len(folder.left_out) for folder in config.sample_folders if folder.left_out}
-    if left_out and not allow_broken:
+    # A row without scores, or from fewer samples than there are, is no success.
+    for result in built:
+        shown = {row.name for block in result.blocks if block.metrics for row in block.rows if row.cells}
+        if rowless := [name for name in config.samples if name not in shown]:
+            reasons = "; ".join(line for line in result.missing if line.startswith(tuple(rowless)))
+            raise SampleFolderError(f"the table was written without rows for {', '.join(rowless)}; {reasons}")
+    if left_out := {each.name: len(each.left_out) for each in config.sample_folders if each.left_out}:
         counts = ", ".join(f"{count:,} of {name!r}" for name, count in left_out.items())
-        raise SampleFolderError(f"the table was built without broken samples ({counts}); --allow-broken accepts that")
+        raise SampleFolderError(f"the table was built without broken samples ({counts}): motionkit samples FOLDER")
 
 
 def _chosen(table: str | None, figure: str | None, calibrate: bool, paper: str) -> "dict[str, Table]":
@@ -164,8 +139,7 @@ def _chosen(table: str | None, figure: str | None, calibrate: bool, paper: str) 
 
     known = plugins.names("TABLES")
     if sum((table is not None, figure is not None, calibrate)) != 1:
-        listed = ", ".join(known)
-        raise UsageError(f"give --table NUMBER, --figure NUMBER or --calibrate; installed tables: {listed}")
+        raise UsageError(f"give --table NUMBER, --figure NUMBER or --calibrate; installed tables: {', '.join(known)}")
     if calibrate:
         from eval.tables.calibration import TABLE
 
@@ -173,9 +147,7 @@ def _chosen(table: str | None, figure: str | None, calibrate: bool, paper: str) 
     numbers = [str(table) if figure is None else f"figure{figure}"]
     if table == ALL:
         numbers = [name.removeprefix(f"{paper}-") for name in known if name.startswith(f"{paper}-")]
-    if not numbers:
-        raise UsageError(f"no table of {paper!r} is installed")
-    return {number: find_table(paper, number) for number in numbers}
+    return {number: find_table(paper, number) for number in numbers or [ALL]}
 
 
 def framerates(text: str, option: str) -> "tuple[Fraction, ...]":
@@ -197,13 +169,13 @@ def _sizes(text: str) -> tuple[int, int]:
     raise UsageError(f"--sizes {text}: give numbers of poses such as 16:64, at least 8")
 
 
-def _encoder(pair: str, runs: Path) -> tuple[str, Path]:
-    name, separator, run = pair.partition("=")
-    if not separator or not name or not run:
-        raise UsageError(f"--encoder {pair}: give NAME=RUN, such as liif=wide for the LIIF of runs/wide")
-    if not (runs / run).is_dir():
-        raise UsageError(f"--encoder {pair}: there is no run {str(runs / run)!r}")
-    return name, runs / run
+def _pairs(option: str, pairs: list[str], value: str) -> list[tuple[str, str]]:
+    """NAME=VALUE pairs of an option; raises `UsageError` for anything else."""
+    found = [tuple(pair.split("=", 1)) for pair in pairs]
+    for pair in found:
+        if len(pair) != 2 or not all(pair):
+            raise UsageError(f"{option} {'='.join(pair)}: give NAME={value}")
+    return [(name, text) for name, text in found]
 
 
 def named_samples(pairs: list[str], run: Path | None = None) -> dict[str, Path]:
@@ -212,12 +184,9 @@ def named_samples(pairs: list[str], run: Path | None = None) -> dict[str, Path]:
     from motionkit.generate.models import installed_models
 
     named: dict[str, Path] = {}
-    for pair in pairs:
-        name, separator, folder = pair.partition("=")
-        if not separator or not name or not folder:
-            raise UsageError(f"--samples {pair}: give NAME=DIR")
+    for name, folder in _pairs("--samples", pairs, "DIR"):
         if name in named:
-            raise UsageError(f"--samples {pair}: there are samples of this name already; give every folder its own")
+            raise UsageError(f"--samples {name}={folder}: there are samples of this name already")
         named[name] = Path(folder)
     if named:
         loaders = installed_models().values()
@@ -243,38 +212,13 @@ def _build(config: "EvalConfig", table: "Table", as_json: bool) -> "Result":
     path, text = write_result(result, config.results), to_markdown(result)
     write_whole(path.with_suffix(".md"), text)
     stderr.print(f"written: {path}, beside it {path.with_suffix('.md').name}")
-    if as_json:
-        return result
-    if not stdout.is_terminal:
+    if not as_json and not stdout.is_terminal:
         print_text(text)
-        return result
-    # Notes and further metrics are in the file.
-    for line in (result.title, result.caption, *result.missing):
-        stdout.print(line, soft_wrap=False)
-    for block in result.blocks:
-        stdout.print(f"\n{block.title}")
-        print_table(block.columns, block.texts())
+    elif not as_json:
+        # Notes and further metrics are in the file.
+        for line in (result.title, result.caption, *result.missing):
+            stdout.print(line, soft_wrap=False)
+        for block in result.blocks:
+            stdout.print(f"\n{block.title}")
+            print_table(block.columns, block.texts())
     return result
-
-
-def _require_rows(config: "EvalConfig", result: "Result") -> None:
-    """Raise if samples have no row of scores in the table, with the reasons."""
-    from eval.sample_folder import SampleFolderError
-
-    # Blocks without a metric, such as that of copies, are no scores.
-    shown = {row.name for block in result.blocks if block.metrics for row in block.rows if row.cells}
-    rowless = [name for name in config.samples if name not in shown]
-    if rowless:
-        reasons = [line for line in result.missing if line.startswith(tuple(rowless))]
-        raise SampleFolderError(
-            "; ".join([f"the table was written without rows for {', '.join(map(repr, rowless))}", *reasons])
-        )
-
-
-def _print_left_out(config: "EvalConfig") -> None:
-    """Read the samples, and name those that are left out."""
-    for folder in config.sample_folders:
-        for problem in folder.left_out[:SHOWN_PROBLEMS]:
-            stderr.print(f"left out of {folder.name!r}: {problem}")
-        if len(folder.left_out) > SHOWN_PROBLEMS:
-            stderr.print(f"… and {len(folder.left_out) - SHOWN_PROBLEMS:,} more: motionkit samples FOLDER")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.cli.console import RunsFolder, print_json, print_text, progress, stderr
+from motionkit.cli.console import AsJson, RunsFolder, print_json, print_text, progress, stderr
 from motionkit.core.errors import UsageError
 from motionkit.core.files import default_path, write_whole
 from motionkit.core.progress import task
@@ -24,23 +24,16 @@ NUM_CAPTIONS, FPS, SHORTEST_SHOWN_SECONDS, LONGEST_SHOWN_SECONDS = 2, Fraction(6
 def report(
     results: Annotated[Path | None, typer.Option(help="Folder with the JSON results.")] = None,
     out: Annotated[Path | None, typer.Option(help="Page to write, or folder for pictures; beside the results.")] = None,
-    format: Annotated[
-        str, typer.Option(help="html for one page; png draws curves; markdown, latex or csv print the tables instead.")
-    ] = "html",
+    format: Annotated[str, typer.Option(help="html: a page; png: curves; markdown, latex, csv: on stdout.")] = "html",
     store: Annotated[Path | None, typer.Option(help="With html: begin with what this store holds.")] = None,
-    run: Annotated[
-        list[str] | None,
-        typer.Option(help="With html: training curves of this run; with --store its motions too. May be repeated."),
-    ] = None,
+    run: Annotated[list[str] | None, typer.Option(help="With html: this run's training; with --store motions.")] = None,
     runs: RunsFolder = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print every result as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Show every result of the results folder: one HTML page, pictures, or Markdown, LaTeX or CSV on stdout.
 
     With --store the page begins with what the store holds, with --run it says how runs were trained, and with both it
-    shows what their models answer to held-out captions.
-
-    Unreadable results are listed, and the exit code is 1.
+    shows what their models answer to held-out captions. Unreadable results are listed, and the exit code is 1.
 
     Example: motionkit report --store store --run nano
     """
@@ -103,8 +96,8 @@ def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, 
 
     held_out = real_motion(Store.open(store), "test")
     real, rates = of_motions(held_out), held_out.fps
-    order = np.random.default_rng(0).permutation(len(real.captions)).tolist()
-    order = [index for index in order if real.seconds[index] >= SHORTEST_SHOWN_SECONDS]
+    shuffled = np.random.default_rng(0).permutation(len(real.captions)).tolist()
+    order = [index for index in shuffled if real.seconds[index] >= SHORTEST_SHOWN_SECONDS]
     captioned = {real.captions[index]: index for index in order if real.captions[index]}
     chosen = list(captioned.values() or order)[:NUM_CAPTIONS]
     captions, seconds = (tuple(values[index] for index in chosen) for values in (real.captions, real.seconds))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from motionkit.cli.console import Up, print_json, progress, stderr, stdout
+from motionkit.cli.console import AsJson, Up, print_json, progress, stderr, stdout
 from motionkit.core.errors import UsageError
 from motionkit.core.files import write_whole
 from motionkit.core.progress import task
@@ -20,12 +20,10 @@ if TYPE_CHECKING:
 
 def samples(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder, or file, of another system's motions.")],
-    init: Annotated[
-        bool, typer.Option("--init", help="Write DIR/samples.toml first, with what is given here, to be completed.")
-    ] = False,
+    init: Annotated[bool, typer.Option("--init", help="Write DIR/samples.toml first, to be completed.")] = False,
     fps: Annotated[str | None, typer.Option(metavar="FPS", help="Framerate, where the files do not say it.")] = None,
     up: Up = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Say what a folder of samples holds: motions, framerates, captions, prompts, bodies, and what is wrong.
 
@@ -42,9 +40,8 @@ def samples(
     found = _summary(read)
     if as_json:
         print_json(found)
-    else:
-        for name, text in _lines(found):
-            stdout.print(f"{name:12}{text}")
+    for name, text in () if as_json else _lines(found):
+        stdout.print(f"{name:12}{text}")
     if read.left_out:
         raise SampleFolderError(f"{len(read.left_out):,} motions of {str(folder)!r} are left out of every table")
 
@@ -54,10 +51,8 @@ def _write_manifest(folder: Path, stated: Mapping[str, str | None]) -> None:
     from eval.sample_folder.manifest import MANIFEST
 
     path, text = folder / MANIFEST, (resources.files("eval.sample_folder") / MANIFEST).read_text(encoding="utf-8")
-    if not folder.is_dir():
-        raise UsageError(f"--init needs a folder, and {str(folder)!r} is not one")
-    if path.exists() and path.stat().st_size:
-        raise UsageError(f"{path} is there already: edit it, or remove it first")
+    if not folder.is_dir() or path.exists():
+        raise UsageError(f"--init needs a folder without {MANIFEST}, and {str(folder)!r} is not one")
     for key, value in stated.items():
         if value is not None:
             text = re.sub(rf"(?m)^# {key} = .*?(?=  #)", f'{key} = "{value}"', text)
@@ -66,12 +61,7 @@ def _write_manifest(folder: Path, stated: Mapping[str, str | None]) -> None:
 
 
 def _summary(folder: "SampleFolder") -> dict[str, Any]:
-    """Counts and sizes of the motions that were read, and problems of those that were not.
-
-    `frames` are minimum, median and maximum; `framerates` counts motions, `prompt_sizes` prompts by their number of
-    motions. `body_metres` is the median length from ankle to head, `reach_metres` the largest distance of a root from
-    its start.
-    """
+    """Counts and sizes of the motions that were read (`frames`: minimum, median, maximum), and problems of others."""
     import numpy as np
 
     from eval.sample_folder.bodies import bone_lengths, some_poses
@@ -90,7 +80,6 @@ def _summary(folder: "SampleFolder") -> dict[str, Any]:
         "actions": dict(actions.most_common()),
         "prompt_sizes": dict(sorted(Counter(Counter(folder.groups).values()).items())),
         "body_metres": float(np.median(bone_lengths(poses).sum(axis=-1))),
-        "reach_metres": float(np.linalg.norm(poses[:, :, 0, ::2] - poses[:, :1, 0, ::2], axis=-1).max()),
         "remarks": folder.remarks,
         "left_out": [str(problem) for problem in folder.left_out],
     }
@@ -100,21 +89,16 @@ def _lines(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """The summary as lines: a label, and the text."""
 
     def share(count: int, num_different: int) -> str:
-        of_all = "" if count == found["num_motions"] else f" of {found['num_motions']:,}"
-        return f"{count:,}{of_all}, {num_different:,} different" if count else "none"
+        return f"{count:,}, {num_different:,} different" if count else "none"
 
     low, middle, high = found["frames"]
     minutes = f"{found['duration_seconds'] / 60:.1f} min"
     yield "motions", f"{found['num_motions']:,}, {minutes}, {low} to {high} frames (median {middle})"
-    rates = ", ".join(f"{fps} fps ({count:,})" for fps, count in found["framerates"].items())
-    yield "framerate", rates + ("" if len(found["framerates"]) == 1 else ": mixed; each motion is resampled by its own")
+    yield "framerate", ", ".join(f"{fps} fps ({count:,})" for fps, count in found["framerates"].items())
     yield "captions", share(found["num_captioned"], found["num_different_captions"])
     yield "actions", share(found["num_with_action"], len(found["actions"]))
     sizes = sorted(found["prompt_sizes"].items(), key=lambda entry: -entry[1])[:4]
     yield "prompts", ", ".join(f"{count:,} with {size:,} motion{'s'[: size > 1]} each" for size, count in sizes)
-    yield (
-        "bodies",
-        f"{found['body_metres']:.2f} m from ankle to head; roots get up to {found['reach_metres']:.1f} m away",
-    )
+    yield "bodies", f"{found['body_metres']:.2f} m from ankle to head"
     yield from (("note", remark) for remark in found["remarks"])
     yield from (("left out", problem) for problem in found["left_out"])

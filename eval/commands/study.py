@@ -25,35 +25,18 @@ STUDY = typer.Typer(
 
 @STUDY.command()
 def make(
-    samples: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=DIR", help="A system's motions; give two or more. The first is compared with each other one."
-        ),
-    ] = None,
-    samples_fps: Annotated[
-        str | None, typer.Option(metavar="FPS", help="Framerate of samples whose files do not say it.")
-    ] = None,
-    run: Annotated[
-        str | None, typer.Option(help="A run whose model generates for the others' captions; it then comes first.")
-    ] = None,
+    samples: Annotated[list[str] | None, typer.Option(metavar="NAME=DIR", help="A system's motions.")] = None,
+    samples_fps: Annotated[str | None, typer.Option(metavar="FPS", help="Framerate of samples without one.")] = None,
+    run: Annotated[str | None, typer.Option(help="A run that generates for the others' captions; comes first.")] = None,
     model: Annotated[str | None, typer.Option(help="Which of the run's models, if it has several.")] = None,
     runs: RunsFolder = None,
-    store: Annotated[
-        Path | None, typer.Option(help="Add real motion of this store as a system, up to its own framerates.")
-    ] = None,
+    store: Annotated[Path | None, typer.Option(help="Add real motion of this store as a system.")] = None,
     split: Annotated[str, typer.Option(help="Split of the real motion, or all.")] = "test",
-    fps: Annotated[
-        str, typer.Option(metavar="FPS,FPS", help="Framerates; the paper's are 20 and 40,60,100,120.")
-    ] = "20,120",
-    cases: Annotated[
-        int, typer.Option(min=1, help="Pairs of motions for each question, framerate and pair of systems.")
-    ] = 8,
+    fps: Annotated[str, typer.Option(metavar="FPS,FPS", help="The paper's are 20 and 40,60,100,120.")] = "20,120",
+    cases: Annotated[int, typer.Option(min=1, help="Pairs a question, framerate and pair of systems.")] = 8,
     seconds: Annotated[float, typer.Option(min=0.1, help="Longer motions are cut to their middle.")] = 10.0,
     seed: Annotated[int, typer.Option(min=0, help="Random seed of motions, sides and order.")] = 0,
-    out: Annotated[Path, typer.Option(help="The page's file; the key lies beside it, as NAME.key.json.")] = (
-        Path("study.html")
-    ),
+    out: Annotated[Path, typer.Option(help="The page; the key lies beside it, NAME.key.json.")] = Path("study.html"),
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the page and the key if they exist.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -96,10 +79,9 @@ def make(
     if as_json:
         places = {"page": str(out), "key": str(key), "bytes": num_bytes}
         print_json({**places, "questions": len(trials), "missing": list(missing.lines)})
-        return
-    stdout.print(str(out))
-    stderr.print(f"{len(trials)} questions, {num_bytes / 1e6:.1f} MB; keep {key} to yourself")
-    stdout.print(f"next: motionkit study score ANSWERS.json --key {key}")
+    else:
+        stderr.print(f"{len(trials)} questions, {num_bytes / 1e6:.1f} MB; keep {key} to yourself")
+        stdout.print(f"{out}\nnext: motionkit study score ANSWERS.json --key {key}")
 
 
 @STUDY.command()
@@ -109,8 +91,6 @@ def score(
     as_json: AsJson = False,
 ) -> None:
     """Print how often the first system was preferred to each other one: per cent, 95 % interval, binomial test.
-
-    Unusable files are listed, and the exit code is 1.
 
     Example: motionkit study score answers-*.json --key study.key.json
     """
@@ -130,8 +110,7 @@ def score(
         print_json({**outcome, "preferences": list(map(asdict, found))})
     elif found:
         for question, text in QUESTIONS.items():
-            rows = [_row(each) for each in found if each.question == question]
-            if rows:
+            if rows := [_row(each) for each in found if each.question == question]:
                 stdout.print(text)
                 print_table(["shown at", "preferred", "95 % interval", "answers", "p"], rows)
         stderr.print(f"{len(read)} people, {given} of {len(read) * len(known['trials'])} questions answered")

@@ -1,50 +1,36 @@
 """PA-HiRes' tables and figures: interpolation, in-betweening, extrapolation, and ablations of interpolation at ×4.
 
-An ablation's variant is a cell, whose entry names row and column: the mean of its runs, one for each seed. Blocks of
-other starts show these one by one.
+An ablation's variant is a cell: the mean of its runs, one for each seed.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
-from statistics import fmean
-from typing import Any
+from typing import get_args
 
+from eval.completion import interpolation, windows
 from eval.completion.data_sets import DataSet, NoTakesError, data_sets_of, open_clips, split_remark
 from eval.completion.encoders import HOLD, INTERPOLATION, Completer, completer_of, trained_completers
-from eval.completion.interpolation import (
-    CEILING_DB,
-    CLIP_FRAMES,
-    INTEGER_SCALES,
-    NUM_GIVEN,
-    OTHER_SCALES,
-    TIMED_METRICS,
-    VERSION,
-    measure_interpolation,
-    measure_scale,
-    scale_label,
-)
+from eval.completion.interpolation import CLIP_FRAMES, scale_label
 from eval.completion.scores import Scope, Scores, Shown, blocks_of, shown_measure, with_pools
-from eval.completion.windows import (
-    EXTRAPOLATION_VERSION,
-    FPS,
-    INBETWEENING_VERSION,
-    Question,
-    continuations,
-    data_set_windows,
-    gaps,
-    lafan1_windows,
-    measure_windows,
-)
 from eval.metrics.registry import find_metric
 from eval.report.results import Block, Cell, Row
-from eval.tables.table import SOURCES, Content, EvalConfig, Reported, Table, cached, printed_block, reported_figures
+from eval.tables.table import (
+    SOURCES,
+    Content,
+    EvalConfig,
+    Reported,
+    Table,
+    mean_cells,
+    printed_block,
+    reported_figures,
+)
 from motionkit.core.errors import MotionkitError
-from motionkit.core.progress import task
+from motionkit.core.progress import task, tracked
 from motionkit.edit.encoders import installed_encoders
 from motionkit.store.reader import Store
-from motionkit.training.ablations import Ablation, find_ablations
+from motionkit.training.ablations import Ablation, Variant, find_ablations
 from motionkit.training.run import RunFolder, Task, recorded_settings
 
 METRICS = {
@@ -56,8 +42,6 @@ METRICS = {
 WINDOW_METRICS = {"l2p": "L2P", "l2q": "L2Q", "npss": "NPSS"}
 PRINTED_METRICS = {"psnr_db": "PSNR (dB)", "ssim": "SSIM"}
 SMALL_TAKES = 100
-SMALL = " **Small scale**: a data set of fewer than 100 takes says little about others."
-INTERVALS = "± is half the 95 % interval over takes."
 PAHIRES = find_ablations("pahires")
 STAGE = next(iter(PAHIRES.stages))
 ABLATED_METRICS = ("psnr", "ssim", "acceleration_error")
@@ -71,53 +55,45 @@ class Clips:
 
     label: str
     fps: Fraction
-    num_takes: int
     remark: str
     measure: Callable[[Completer], Scores]
 
 
 def _scored(
-    name: str,
+    caption: str,
+    clips_of: Callable[[DataSet], Clips],
     data_sets: Iterable[DataSet],
-    opened: Callable[[DataSet], Clips],
-    terms: Mapping[str, Any],
     completers: Sequence[Completer],
     config: EvalConfig,
-) -> tuple[list[Scope], list[Clips]]:
-    """Every row's scores on every data set that has takes, cached for these terms; rows that fail are missing.
+) -> tuple[list[Scope], Content]:
+    """Every row's scores on every data set that has takes, and a content without blocks; rows that fail are missing.
 
     Raises `NoTakesError` if no data set has takes.
     """
-    found, without, scopes = [], [], []
+    remarks, without, scopes = [], [], []
     for data_set in data_sets:
         try:
             with task(config.on_progress, f"clips of {data_set.name}"):
-                found.append(opened(data_set))
+                clips = clips_of(data_set)
         except NoTakesError as error:
             without.append(f"{data_set.label}: {error}")
-    if not found:
+            continue
+        rows: dict[str, Scores] = {}
+        for each in tracked(config.on_progress, clips.label, completers, len(completers)):
+            with config.missing.skipping(f"{clips.label}, {each.name}", (MotionkitError, ValueError)):
+                rows[each.name] = clips.measure(each)
+        scopes.append(Scope(clips.label, clips.fps, rows))
+        remarks.append(clips.remark)
+    if not scopes:
         raise NoTakesError("; ".join(without))
     config.missing.add(*without)
-    for clips in found:
-        rows: dict[str, Scores] = {}
-        with task(config.on_progress, clips.label, len(completers)) as work:
-            for each in completers:
-                work.note(each.name)
-                with config.missing.skipping(f"{clips.label}, {each.name}", (MotionkitError, ValueError)):
-                    conditions = {"data set": clips.label, "split": config.split, "where": config.where}
-                    key = {**terms, **conditions, "encoder": each.fingerprint}
-                    rows[each.name] = cached(config.results, name, key, partial(clips.measure, each))
-                work.advance()
-        scopes.append(Scope(clips.label, clips.fps, rows))
-    return with_pools(scopes, "clips"), found
-
-
-def _encoders(completers: Sequence[Completer]) -> dict[str, Any]:
-    """Provenance of a table's rows."""
-    return {
+    provenance = {
         "encoders": {each.name: each.fingerprint for each in completers},
         "trained": {each.name: each.facts for each in completers if each.trained},
     }
+    notes = (*remarks, "± is half the 95 % interval over takes.")
+    content = Content(f"{caption} S{config.real[1:]}.", blocks=(), notes=notes, provenance=provenance)
+    return with_pools(scopes, "clips"), content
 
 
 def _interpolated(
@@ -129,39 +105,36 @@ def _interpolated(
 ) -> tuple[list[Scope], Content]:
     """Interpolation at some scales on every data set that has clips, and a content without blocks."""
 
-    def opened(data_set: DataSet) -> Clips:
+    def clips_of(data_set: DataSet) -> Clips:
         clips = open_clips(store, data_set, config.split, config.where, CLIP_FRAMES, CLIP_FRAMES)
         remark = f"{data_set.label}: {clips.num_clips:,} clips of {clips.num_takes:,} takes"
         try:
             training = open_clips(store, data_set, "train", None, CLIP_FRAMES, CLIP_FRAMES)
         except NoTakesError:
             training, remark = clips, f"{remark}, whose deviations stand for those of training clips"
-        left_out = {
-            f"shorter than {clips.num_frames} frames": clips.num_short,
-            "of framerates that are no multiple of the table's": clips.num_other_fps,
-        }
-        reasons = " and ".join(f"{count:,} {why}" for why, count in left_out.items() if count)
-        remark += (f"; left out are {reasons}" if reasons else "") + f"; {split_remark(store, clips, config.split)}"
-        measure = partial(measure_interpolation, clips, measure_scale(training), scales)
-        return Clips(data_set.label, data_set.fps, clips.num_takes, remark, measure)
+        remark += (
+            f"; left out: {clips.num_short:,} shorter than {clips.num_frames} frames, {clips.num_other_fps:,} at other "
+            f"framerates; {split_remark(store, clips, config.split)}"
+        )
+        if clips.num_takes < SMALL_TAKES:
+            remark += f". **Small scale**: fewer than {SMALL_TAKES} takes say little about others."
+        measure = partial(interpolation.measure_interpolation, clips, interpolation.measure_scale(training), scales)
+        return Clips(data_set.label, data_set.fps, remark, measure)
 
-    terms = {"version": VERSION, "store": store.fingerprint, "scales": [str(each) for each in scales]}
-    scopes, clips = _scored("interpolation", data_sets, opened, terms, completers, config)
-    small = min(each.num_takes for each in clips) < SMALL_TAKES
-    content = Content(
-        caption=(
-            f"Of every clip {NUM_GIVEN} real frames are given and all frames between them asked for; no frame of the "
-            f"truth is interpolated. S{config.real[1:]}.{SMALL if small else ''}"
-        ),
-        blocks=(),
-        definition={"given_frames": NUM_GIVEN, "clip_frames": CLIP_FRAMES, "psnr_ceiling_db": CEILING_DB},
-        notes=(*(each.remark for each in clips), INTERVALS),
-        provenance=_encoders(completers),
+    caption = (
+        f"Of every clip {interpolation.NUM_GIVEN} real frames are given, all frames between them are predicted and "
+        "scored; no frame of the truth is interpolated."
     )
-    return scopes, content
+    scopes, content = _scored(caption, clips_of, data_sets, completers, config)
+    definition = {
+        "given_frames": interpolation.NUM_GIVEN,
+        "clip_frames": CLIP_FRAMES,
+        "psnr_ceiling_db": interpolation.CEILING_DB,
+    }
+    return scopes, replace(content, definition=definition)
 
 
-def interpolation(scales: Sequence[Fraction], table: str, config: EvalConfig, store: Store) -> Content:
+def interpolation_table(scales: Sequence[Fraction], table: str, config: EvalConfig, store: Store) -> Content:
     """All rows of all data sets of the store, and which are not available.
 
     Raises `NoTakesError` if no data set has takes, and `UsageError` for an unknown encoder.
@@ -171,136 +144,90 @@ def interpolation(scales: Sequence[Fraction], table: str, config: EvalConfig, st
     completers = [*INTERPOLATION, *trained]
     scopes, content = _interpolated(store, data_sets_of(store, config.fps), scales, completers, config)
     labels = tuple(map(scale_label, scales))
-    further = [find_metric(name) for name in ("rotation_angle_error", *TIMED_METRICS) if name not in METRICS]
-    titles = {
-        metric.name: metric.title[0].lower() + metric.title[1:] + (f" ({metric.unit})" if metric.unit else "")
-        for metric in further
-    }
-    printed: dict[tuple[str, str], list[Reported]] = {}
-    for figure in reported_figures("pahires", table):
-        if figure.value is not None:
-            printed.setdefault((figure.dataset, figure.metric), []).append(figure)
-    printed_blocks = (
-        printed_block(
-            f"Printed in the PA-HiRes paper, {data_set}: {PRINTED_METRICS[metric]}",
-            figures,
-            lambda figure: "×" + figure.setting.removeprefix("x"),
-            columns=labels,
-            lower_is_better=False,
-            note=f"Undefined pose vector, range and clips; trained for 1,000 epochs. Source: {SOURCES['pahires']}.",
-        )
-        for (data_set, metric), figures in printed.items()
-    )
+    further = map(find_metric, ("rotation_angle_error", "velocity_error", "jerk_error"))
+    titles = {metric.name: metric.title + (f" ({metric.unit})" if metric.unit else "") for metric in further}
     blocks = blocks_of(scopes, completers, Shown(labels, METRICS, {"mpjpe_global": titles}))
-    return replace(content, blocks=(*blocks, *printed_blocks))
-
-
-# Trained runs by the entries' names, then by seed.
-_Runs = Mapping[str, Mapping[int, RunFolder]]
+    return replace(content, blocks=(*blocks, *_printed(table, labels)))
 
 
 def ablation_table(ablation: Ablation, config: EvalConfig, store: Store) -> Content:
     """Scores of the runs RUN-VARIANT on every data set, at their training framerate.
 
-    Raises `UsageError` without a run's name, or if none of the runs is trained, and as `interpolation`.
+    Raises `UsageError` without a run's name, or if none of the runs is trained, and as `interpolation_table`.
     """
     store.select(config.condition)  # raises at once for SQL that is wrong
     runs = PAHIRES.trained_runs(ablation.table, config.run, STAGE)
     assert config.run is not None
     command = PAHIRES.command(ablation.table, config.run)
-    config.missing.add(
-        *(
-            f"{entry.variant.name}: not trained ({command} --only {entry.variant.name})"
-            for entry in ablation.entries
-            if not runs[entry.name]
-        )
-    )
-    folders = list(dict.fromkeys(run for by_seed in runs.values() for run in by_seed.values()))
+    lacking = [variant.name for variant, by_seed in runs.items() if not by_seed]
+    config.missing.add(*(f"{name}: not trained ({command} --only {name})" for name in lacking))
+    folders = [run for by_seed in runs.values() for run in by_seed.values()]
     training = [recorded_settings(run, STAGE)["training"] for run in folders]
     rates = {Fraction(each["fps"]) for each in training}
     completers = [replace(completer_of(PAHIRES.paper, run.path), name=run.path.name) for run in folders]
     data_sets = [each for each in data_sets_of(store) if each.fps in rates]
     if not data_sets:
-        named = ", ".join(f"{float(rate):g}" for rate in rates)
-        raise NoTakesError(f"no data set stands at {named} fps, which the runs were trained for")
+        raise NoTakesError(f"no data set stands at the framerates of training: {', '.join(map(str, rates))}")
     scopes, content = _interpolated(store, data_sets, (ABLATED_SCALE,), [*UNTRAINED, *completers], config)
     steps = sorted({f"{each['schedule']['steps']:,} steps, form {each['answer']['form']}" for each in training})
-    changes = {entry.name: list(entry.variant.change) for entry in ablation.entries}
+    blocks = [_ablated(scope, metric, runs) for scope in scopes for metric in ABLATED_METRICS]
+    changes = {f"{each.label}; {each.column}": list(each.change) for each in ablation.variants}
     return replace(
         content,
         caption=f"One setting changes, after {' or '.join(steps)}, at {scale_label(ABLATED_SCALE)}. {content.caption}",
-        blocks=(
-            *(block for scope in scopes for block in _ablated(ablation, scope, runs)),
-            *_starts(scopes, runs),
-            *_printed_ablation(ablation.table),
-        ),
+        blocks=(*blocks, *_printed(ablation.table)),
         definition={**content.definition, "variants": changes},
         runs=tuple(run.path for run in folders),
         provenance={"runs": {run.path.name: run.stage(STAGE).read_summary() for run in folders}, **content.provenance},
     )
 
 
-def _ablated(ablation: Ablation, scope: Scope, runs: _Runs) -> Iterable[Block]:
-    columns = tuple(dict.fromkeys(entry.column for entry in ablation.entries))
-    for metric in ABLATED_METRICS:
-        cells: dict[str, dict[str, Cell]] = {entry.label: {} for entry in ablation.entries}
-        for entry in ablation.entries:
-            if values := _by_seed(scope, runs[entry.name], metric):
-                cells[entry.label][entry.column] = Cell(fmean(values.values()))
-        untrained = [(each.name, Cell(_number(scope, each.name, metric))) for each in UNTRAINED]
-        rows = [
-            # A row that does not depend on the setting has the same number in every column.
-            *(Row(f"{name}, not trained", "reference", dict.fromkeys(columns, cell)) for name, cell in untrained),
-            *(Row(row, "ours", found) for row, found in cells.items() if found),
-        ]
-        yield _block(f"{scope.label}: {METRICS[metric]}", metric, columns, rows, scope.note)
+def _ablated(scope: Scope, metric: str, runs: Mapping[Variant, Mapping[int, RunFolder]]) -> Block:
+    """One metric of a data set: untrained rows, which are the same in every column, and the variants."""
 
+    def cell(name: str) -> Cell:
+        return Cell(scope.number(name, metric, scale_label(ABLATED_SCALE)).value)
 
-def _starts(scopes: Sequence[Scope], runs: _Runs) -> Iterable[Block]:
-    """Runs that differ in their seed only, one by one."""
-    several = {name: by_seed for name, by_seed in runs.items() if len(by_seed) > 1}
-    seeds = tuple(f"seed {seed}" for seed in sorted({seed for by_seed in several.values() for seed in by_seed}))
-    for metric in ABLATED_METRICS if several else ():
-        rows = []
-        for scope in scopes:
-            for name, by_seed in several.items():
-                found = _by_seed(scope, by_seed, metric)
-                cells = {f"seed {seed}": Cell(value) for seed, value in found.items()}
-                rows.append(Row(f"{scope.label}: {name}", "ours", cells))
-        yield _block(f"From other starts: {METRICS[metric]}", metric, seeds, rows)
-
-
-def _number(scope: Scope, row: str, metric: str) -> float:
-    return scope.number(row, metric, scale_label(ABLATED_SCALE)).value
-
-
-def _by_seed(scope: Scope, by_seed: Mapping[int, RunFolder], metric: str) -> dict[int, float]:
-    names = {seed: run.path.name for seed, run in by_seed.items()}
-    return {seed: _number(scope, name, metric) for seed, name in names.items() if name in scope.rows}
-
-
-def _block(title: str, metric: str, columns: tuple[str, ...], rows: Sequence[Row], note: str = "") -> Block:
+    columns = tuple(dict.fromkeys(variant.column for variant in runs))
+    rows = [
+        Row(f"{each.name}, not trained", "reference", dict.fromkeys(columns, cell(each.name))) for each in UNTRAINED
+    ]
+    cells: dict[str, dict[str, Cell]] = {}
+    for variant, by_seed in runs.items():
+        names = [run.path.name for run in by_seed.values() if run.path.name in scope.rows]
+        found = mean_cells([{variant.column: cell(name)} for name in names])
+        cells.setdefault(variant.label, {}).update(found)
+    rows += [Row(label, "ours", found) for label, found in cells.items() if found]
     lower = find_metric(metric).higher_is_better is False
-    return Block(title, columns, tuple(rows), lower_is_better=lower, note=note, metrics=(shown_measure(metric),))
+    shown = (shown_measure(metric),)
+    return Block(f"{scope.label}: {METRICS[metric]}", columns, tuple(rows), lower, scope.note, metrics=shown)
 
 
-def _printed_ablation(table: str) -> list[Block]:
-    """The paper's figures of an ablation; none of its figures 5 and 6, which it draws without numbers."""
+def _printed(table: str, columns: tuple[str, ...] = ()) -> list[Block]:
+    """The paper's figures by data set and metric; none of its figures 5 and 6, which it draws without numbers.
 
-    def setting(figure: Reported) -> dict[str, str]:
-        return dict(part.partition("=")[::2] for part in figure.setting.split(";")[1:])
+    A setting is `x2.4`, or of the ablation `x4;terms=16;shared=no`.
+    """
 
-    figures = [figure for figure in reported_figures("pahires", table) if figure.value is not None]
+    def row(figure: Reported) -> str:
+        return "shared" if "shared=yes" in figure.setting else "own parameters" if ablated else figure.method
+
+    def column(figure: Reported) -> str:
+        return f"ζ = {figure.setting.split('terms=')[1].split(';')[0]}" if ablated else figure.setting.replace("x", "×")
+
+    ablated, figures = not columns, reported_figures("pahires", table)
     return [
         printed_block(
-            f"Printed in the PA-HiRes paper: {PRINTED_METRICS[metric]}",
-            [figure for figure in figures if figure.metric == metric],
-            lambda figure: f"ζ = {setting(figure)['terms']}",
-            name=lambda figure: "shared" if setting(figure)["shared"] == "yes" else "own parameters",
+            f"Printed in the PA-HiRes paper, {data_set}: {PRINTED_METRICS[metric]}",
+            [figure for figure in figures if (figure.dataset, figure.metric) == (data_set, metric)],
+            column,
+            name=row,
+            columns=columns,
             lower_is_better=False,
-            note=f"HumanML3D at ×4, 1,000 epochs. Source: {SOURCES['pahires']}.",
+            note=f"Undefined pose vector, range and clips; trained for 1,000 epochs. Source: {SOURCES['pahires']}.",
         )
-        for metric in dict.fromkeys(figure.metric for figure in figures)
+        for data_set, metric in dict.fromkeys((figure.dataset, figure.metric) for figure in figures)
+        if metric in PRINTED_METRICS
     ]
 
 
@@ -310,7 +237,7 @@ class WindowTable:
 
     task: Task
     version: str
-    questions: tuple[Question, ...]
+    questions: tuple[windows.Question, ...]
     metrics: Mapping[str, str]
     details: Mapping[str, Mapping[str, str]]
     rows: tuple[Completer, ...]
@@ -323,8 +250,8 @@ _BENCHMARK_ROWS = {
 }
 INBETWEENING = WindowTable(
     "inbetweening",
-    INBETWEENING_VERSION,
-    gaps(),
+    windows.INBETWEENING_VERSION,
+    windows.gaps(),
     WINDOW_METRICS,
     {"l2p": {"mpjpe_global": "MPJPE (cm)"}, "l2q": {"l2q_as_signed": "L2Q, signs as they come"}},
     tuple(
@@ -337,8 +264,8 @@ INBETWEENING = WindowTable(
 )
 EXTRAPOLATION = WindowTable(
     "extrapolation",
-    EXTRAPOLATION_VERSION,
-    continuations(),
+    windows.EXTRAPOLATION_VERSION,
+    windows.continuations(),
     {"mpjpe_global": "MPJPE (cm)", **WINDOW_METRICS},
     {},
     (
@@ -358,27 +285,20 @@ def window_table(table: WindowTable, config: EvalConfig, store: Store) -> Conten
     trained = trained_completers(table.task, config.run, config.encoders, config.missing)
     completers = [*table.rows, *trained]
 
-    def opened(data_set: DataSet) -> Clips:
+    def clips_of(data_set: DataSet) -> Clips:
         if data_set.value == "lafan1":
-            windows = lafan1_windows(store)
+            found = windows.lafan1_windows(store)
         else:
-            windows = data_set_windows(store, data_set, config.split, config.where)
-        measure = partial(measure_windows, windows, table.questions)
-        return Clips(windows.name, FPS, 0, f"{windows.name}: {windows.remark}", measure)
+            found = windows.data_set_windows(store, data_set, config.split, config.where)
+        measure = partial(windows.measure_windows, found, table.questions)
+        return Clips(found.name, windows.FPS, f"{found.name}: {found.remark}", measure)
 
-    terms = {"version": table.version, "store": store.fingerprint}
-    data_sets = (each for each in data_sets_of(store) if each.fps == FPS)
-    scopes, clips = _scored(table.task, data_sets, opened, terms, completers, config)
+    data_sets = (each for each in data_sets_of(store) if each.fps == windows.FPS)
+    scopes, content = _scored(table.caption, clips_of, data_sets, completers, config)
     columns = tuple(question.label for question in table.questions)
-    return Content(
-        caption=f"{table.caption} S{config.real[1:]}: {' '.join(each.remark for each in clips)}",
-        blocks=(
-            *blocks_of(scopes, completers, Shown(columns, table.metrics, table.details)),
-            *(_printed_inbetweening(columns) if table is INBETWEENING else []),
-        ),
-        notes=(INTERVALS,),
-        provenance=_encoders(completers),
-    )
+    printed = _printed_inbetweening(columns) if table is INBETWEENING else []
+    blocks = blocks_of(scopes, completers, Shown(columns, table.metrics, table.details))
+    return replace(content, blocks=(*blocks, *printed))
 
 
 def _printed_inbetweening(columns: tuple[str, ...]) -> list[Block]:
@@ -400,41 +320,29 @@ def _printed_inbetweening(columns: tuple[str, ...]) -> list[Block]:
     return blocks
 
 
-def _interpolation_table(number: str, kind: str, scales: Sequence[Fraction]) -> Table:
-    return Table(
-        "pahires",
-        number,
-        f"interpolation at {kind} scales",
-        VERSION,
-        partial(interpolation, scales, number),
-        heading=f"PA-HiRes, Table {number}: interpolation at {kind} scales",
-        shown=partial(installed_encoders, "interpolation"),
-    )
-
-
-def _ablation_table(number: str) -> Table:
-    ablation = PAHIRES.tables[number]
-    table = Table("pahires", number, ablation.title, VERSION, partial(ablation_table, ablation))
-    return replace(table, heading=f"PA-HiRes, {table.place}: {ablation.title}")
-
-
-def _window_table(number: str, title: str, heading: str, table: WindowTable) -> Table:
-    return Table(
-        "pahires",
+_table = partial(Table, "pahires")
+_ENCODERS = {task: partial(installed_encoders, task) for task in get_args(Task)}
+TABLE_1, TABLE_2 = (
+    _table(
         number,
         title,
-        table.version,
-        partial(window_table, table),
-        heading=f"PA-HiRes{heading}",
-        shown=partial(installed_encoders, table.task),
-        task="pahires-extrapolation" if table is EXTRAPOLATION else "",
+        interpolation.VERSION,
+        partial(interpolation_table, scales, number),
+        shown=_ENCODERS["interpolation"],
     )
-
-
-TABLE_1 = _interpolation_table("1", "integer", INTEGER_SCALES)
-TABLE_2 = _interpolation_table("2", "non-integer", OTHER_SCALES)
-TABLE_3 = _window_table("3", "in-betweening (LaFAN1's protocol)", ", Table 3: in-betweening", INBETWEENING)
-TABLE_4, FIGURE_5, FIGURE_6 = map(_ablation_table, ("4", "figure5", "figure6"))
-TABLE_EXTRAPOLATION = _window_table(
-    "extrapolation", "extrapolation, forwards and backwards", ": extrapolation", EXTRAPOLATION
+    for number, title, scales in (
+        ("1", "interpolation at integer scales", interpolation.INTEGER_SCALES),
+        ("2", "interpolation at non-integer scales", interpolation.OTHER_SCALES),
+    )
+)
+TABLE_3, TABLE_EXTRAPOLATION = (
+    _table(number, title, each.version, partial(window_table, each), shown=_ENCODERS[each.task], task=result)
+    for number, title, each, result in (
+        ("3", "in-betweening (LaFAN1's protocol)", INBETWEENING, ""),
+        ("extrapolation", "forwards and backwards", EXTRAPOLATION, "pahires-extrapolation"),
+    )
+)
+TABLE_4, FIGURE_5, FIGURE_6 = (
+    _table(number, PAHIRES.tables[number].title, interpolation.VERSION, partial(ablation_table, PAHIRES.tables[number]))
+    for number in ("4", "figure5", "figure6")
 )

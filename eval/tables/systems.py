@@ -1,6 +1,7 @@
 """What tables have rows of: real motion and its baselines, a run's models and encoders, other systems' samples."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -13,27 +14,11 @@ from eval.detail import VERSION as DETAIL_VERSION
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, pairs_of
 from eval.sample_folder.folder import takes_of_samples
-from eval.sets.motions import (
-    NoRealMotionError,
-    RealMotion,
-    Window,
-    detailed_fields,
-    generate_fields,
-    is_framed,
-    is_unconditional,
-    planted_fields,
-    planted_set,
-    real_motion,
-    sample_fields,
-    training_motion,
-    upsample_as_vectors,
-    upsampled,
-    windows_of,
-)
+from eval.sets import motions
+from eval.sets.motions import NoRealMotionError, RealMotion, Window
 from eval.sets.sets import REAL, TRAINING_TAKES, Missing, RowId, SampleSet, Variant, check_sample_names
 from eval.tables.table import EvalConfig
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
-from motionkit.core.files import sha256_of
 from motionkit.core.progress import task, tracked
 from motionkit.data.reconstruction import ReconstructsWindows
 from motionkit.edit.encoders import installed_encoders
@@ -94,21 +79,20 @@ class Trained(Generic[T]):
 
     @property
     def identity(self) -> dict[str, str]:
-        """Hexadecimal sha256 of each of its stages' models, or of the summary of a stage without one."""
-        stages = [RunFolder(self.run).stage(name) for name in self.loader.stages]
-        paths = [each.model_path if each.model_path.is_file() else each.summary_path for each in stages]
-        return {path.parent.name: sha256_of(path) for path in paths}
+        """Hexadecimal sha256 of the models of its stages."""
+        return RunFolder(self.run).fingerprints(self.loader.stages)
 
     @property
     def note(self) -> str:
         """How a model was trained, by its stages' summaries: steps, parameters, processor time, framerate."""
-        notes = []
-        for name in self.loader.stages:
-            effort = RunFolder(self.run).stage(name).effort().items()
-            facts = [f"{value} of {fact}" if fact == "processor time" else f"{value} {fact}" for fact, value in effort]
-            notes += [f"{name}: {', '.join(facts)}"] if facts else []
+        efforts = {name: RunFolder(self.run).stage(name).effort() for name in self.loader.stages}
+        facts = {
+            name: ", ".join(f"{value} {'of ' * (fact == 'processor time')}{fact}" for fact, value in effort.items())
+            for name, effort in efforts.items()
+        }
+        notes = [f"{name}: {text}" for name, text in facts.items() if text]
         model: Any = self.loaded
-        knows = ", knows no texts and no actions" if is_unconditional(model) else ""
+        knows = ", knows no texts and no actions" if motions.is_unconditional(model) else ""
         return "; ".join((*notes, f"trained at up to {float(model.max_training_fps):g} fps{knows}")) if notes else ""
 
 
@@ -122,12 +106,8 @@ def trained_models(run: Path | None, missing: Missing) -> dict[str, TrainedModel
     Without a run there are none, and none is missing.
     """
     found: dict[str, TrainedModel] = {}
-    if run is None:
-        return found
-    for loader in installed_models().values():
+    for loader in () if run is None else installed_models().values():
         try:
-            if not run.is_dir():
-                raise RunError(f"there is no run {str(run)!r} ({loader.train_command(run)})")
             if not loader.begun_in(run):
                 raise RunError(f"run {run.name!r} has none ({loader.train_command(run)})")
             model = Trained(loader, run)
@@ -145,11 +125,9 @@ def require_models(run: Path | None, what: str, missing: Missing) -> dict[str, T
     """As `trained_models`; raises `UsageError` without a run, `RunError` if it holds no model."""
     if run is None:
         raise UsageError(f"{what} needs trained systems: --run NAME (motionkit train --for {what.replace(' ', ':')})")
-    if not any(loader.begun_in(run) for loader in installed_models().values()):
-        raise RunError(f"{str(run)!r} holds no trained system: motionkit train --for table:2 --run {run.name}")
     found = trained_models(run, missing)
     if not found:
-        raise RunError("; ".join(missing.lines))
+        raise RunError(f"{str(run)!r} holds no trained system: motionkit train --for table:2 --run {run.name}")
     return found
 
 
@@ -172,10 +150,7 @@ def reconstructor(trained: Trained[MotionEncoder], store: Store) -> Reconstructs
     if not isinstance(encoder, ReconstructsWindows):
         raise UsageError(f"{trained.loader.title} doesn't reconstruct windows of motion")
     if encoder.store_fingerprint != store.fingerprint:
-        raise UsageError(
-            f"{encoder.name} of {trained.run} was trained on another state of the store (fingerprint "
-            f"{encoder.store_fingerprint[:16]}, now {store.fingerprint[:16]}): name that store, or train again"
-        )
+        raise UsageError(f"{encoder.name} of {trained.run} was trained on another state of the store: train again")
     return encoder
 
 
@@ -192,15 +167,15 @@ def generated_fields(config: EvalConfig, real: SampleSet) -> tuple[ModelFields, 
     rows: dict[RowId, dict[Window, MotionField]] = {}
     for name, trained in tracked(config.on_progress, "systems", models.items(), len(models)):
         with config.missing.skipping(name):
-            windows = windows_of(real, trained.loaded.max_duration_seconds)
+            windows = motions.windows_of(real, trained.loaded.max_duration_seconds)
             with task(config.on_progress, f"generating {name}", draws * min(len(windows), most)) as work:
-                fields = generate_fields(
+                fields = motions.generate_fields(
                     trained.loaded, windows, config.seed, most, draws=draws, on_motions=work.advance
                 )
-            standing = planted_fields(fields)
+            standing = motions.planted_fields(fields)
             rows |= {RowId(name): fields, RowId(name, Variant.PLANTED): standing}
-            if detail is not None and not is_framed(fields):
-                rows[RowId(name, Variant.DETAILED)] = detailed_fields(standing, detail, config.seed)
+            if detail is not None and not motions.is_framed(fields):
+                rows[RowId(name, Variant.DETAILED)] = motions.detailed_fields(standing, detail, config.seed)
     return rows, {name: model.note for name, model in models.items()}
 
 
@@ -229,11 +204,10 @@ def real_column(fps: Fraction, real: RealMotion, train: RealMotion) -> Column:
 
     Raises `NoRealMotionError` where too few sequences are as fast.
     """
+    training = None
     reference = real.at(fps)
-    try:
+    with suppress(NoRealMotionError):
         training = train.at(fps)
-    except NoRealMotionError:
-        training = None
     return Column(fps, reference, {P1: reference}, training)
 
 
@@ -246,38 +220,30 @@ def make_column(fps: Fraction, real: RealMotion, train: RealMotion, fields: Mode
     reference, rows = column.real, dict(column.rows)
     if fps >= LOW_FPS:
         low = real.at(LOW_FPS)
-        place = {sequence_id: index for index, sequence_id in enumerate(low.sequence_ids)}
-        low = low.select([place[sequence_id] for sequence_id in reference.sequence_ids])
-        rows[SLERP] = upsampled(low, fps, str(SLERP))
-        rows[VECTORS] = upsample_as_vectors(low, fps, str(VECTORS))
+        low = low.select([low.sequence_ids.index(sequence_id) for sequence_id in reference.sequence_ids])
+        rows[SLERP] = motions.upsampled(low, fps, str(SLERP))
+        rows[VECTORS] = motions.upsample_as_vectors(low, fps, str(VECTORS))
     for row, samples in generated_at(fields, reference, fps, config.missing).items():
         rows[row] = samples
-        if row.variant is not Variant.AS_IS:
-            continue
-        framed = is_framed(fields[row])
-        coarse_row = RowId(row.system, Variant.AS_VECTORS if framed else Variant.UPSAMPLED)
-        coarse = sample_fields(fields[row], reference.sequence_ids, LOW_FPS, str(coarse_row))
-        if coarse is not None and fps >= LOW_FPS:
-            rows[coarse_row] = (upsample_as_vectors if framed else upsampled)(coarse, fps, str(coarse_row))
+        if row.variant is Variant.AS_IS and fps >= LOW_FPS:
+            framed = motions.is_framed(fields[row])
+            coarse_row = RowId(row.system, Variant.AS_VECTORS if framed else Variant.UPSAMPLED)
+            coarse = motions.sample_fields(fields[row], reference.sequence_ids, LOW_FPS, str(coarse_row))
+            to_fps = motions.upsample_as_vectors if framed else motions.upsampled
+            rows |= {} if coarse is None else {coarse_row: to_fps(coarse, fps, str(coarse_row))}
     rows |= samples_at(real, fps, config)
-    sizes = {}
-    if column.train is not None and train is not real:
-        takes = [each.num_takes for row, each in rows.items() if row not in REFERENCES]
-        rows[TRAINING] = column.train
-        sizes[TRAINING] = min([*(takes or [reference.num_takes]), column.train.num_sequences])
-    return Column(fps, reference, rows, column.train, sizes)
+    if column.train is None or train is real:
+        return Column(fps, reference, rows, column.train)
+    takes = [each.num_takes for row, each in rows.items() if row not in REFERENCES] or [reference.num_takes]
+    sizes = {TRAINING: min([*takes, column.train.num_sequences])}
+    return Column(fps, reference, rows | {TRAINING: column.train}, column.train, sizes)
 
 
 def generated_at(fields: ModelFields, real: SampleSet, fps: Fraction, missing: Missing) -> dict[RowId, SampleSet]:
     """Every row of generated motion at a framerate, for the real sequences that there are at it."""
-    rows = {}
-    for row, own in fields.items():
-        samples = sample_fields(own, real.sequence_ids, fps, str(row))
-        if samples is None:
-            missing.add(f"{row}, {label(fps)}: {NOT_SO_FAST}")
-        else:
-            rows[row] = samples
-    return rows
+    rows = {row: motions.sample_fields(own, real.sequence_ids, fps, str(row)) for row, own in fields.items()}
+    missing.add(*(f"{row}, {label(fps)}: {NOT_SO_FAST}" for row, samples in rows.items() if samples is None))
+    return {row: samples for row, samples in rows.items() if samples is not None}
 
 
 def samples_at(real: RealMotion, fps: Fraction, config: EvalConfig) -> dict[RowId, SampleSet]:
@@ -296,7 +262,7 @@ def samples_at(real: RealMotion, fps: Fraction, config: EvalConfig) -> dict[RowI
         if found is None:
             config.missing.add(f"{folder.name}, {label(fps)}: {NOT_SO_FAST}")
         else:
-            rows |= {RowId(folder.name): found, RowId(folder.name, Variant.PLANTED): planted_set(found)}
+            rows |= {RowId(folder.name): found, RowId(folder.name, Variant.PLANTED): motions.planted_set(found)}
     return rows
 
 
@@ -313,6 +279,15 @@ def score_column(
 
     With `halves` one cell more, of disjoint halves of the takes (P2).
     """
+
+    def cell(score: Number, samples: SampleSet, subset: int | None) -> Cell:
+        """It has no interval if takes cannot be resampled (a single take); `subset` sequences are scored at once."""
+        titles = {"fid_infinity": "FID_∞", "kid": "KID"}
+        details: dict[str, float | int] = {titles.get(name, name): value for name, value in score.details.items()}
+        details[DRAWING] = score.drawing
+        details |= {MOTIONS: subset or samples.num_sequences, TAKES: subset or samples.num_takes}
+        return Cell(score.value, score.ci95 if score.resampled or subset else None, details)
+
     name, sizes = label(comparison.real.fps), subset_sizes or {}
     fitting = {}
     for row, samples in rows.items():
@@ -320,26 +295,14 @@ def score_column(
             comparison.protocol.check_lengths(samples)
             fitting[row] = samples
     scores = comparison.scores(fitting, on_replication, sizes)
-    cells = {row: _cell(score, rows[row], sizes.get(row)) for row, score in scores.items()}
+    cells = {row: cell(score, rows[row], sizes.get(row)) for row, score in scores.items()}
     if halves:
         with missing.skipping(f"{P2}, {name}", (ClipError,)):
             half = comparison.real.num_sequences // 2
-            cells[P2] = _cell(comparison.disjoint_halves(on_replication), comparison.real, half)
+            cells[P2] = cell(comparison.disjoint_halves(on_replication), comparison.real, half)
     own = [row for row in scores if row not in REFERENCES]
     pairs = {pair: scores[pair[0]].less(scores[pair[1]]) for pair in pairs_of(own, {SLERP} & scores.keys())}
     return cells, {pair: difference for pair, difference in pairs.items() if difference is not None}
-
-
-def _cell(score: Number, samples: SampleSet, subset: int | None) -> Cell:
-    """A score as a cell; further metrics and the size of its sets are details.
-
-    It has no interval if takes cannot be resampled (a single take). `subset` is the number of sequences scored at once,
-    if not all.
-    """
-    titles = {"fid_infinity": "FID_∞", "kid": "KID"}
-    details: dict[str, float | int] = {titles.get(name, name): value for name, value in score.details.items()}
-    details |= {DRAWING: score.drawing, MOTIONS: subset or samples.num_sequences, TAKES: subset or samples.num_takes}
-    return Cell(score.value, score.ci95 if score.resampled or subset else None, details)
 
 
 def detail_blocks(
@@ -350,38 +313,30 @@ def detail_blocks(
     config: EvalConfig,
 ) -> list[Block]:
     """The detail profile of rows at 40 fps or more; none below, without training motion, or of frozen real motion."""
-    blocks: list[Block] = []
-    if train is None or real.fps < LEAST_FPS:
-        return blocks
+    rows = {row: samples for row, samples in rows.items() if row not in (REAL, P1)}
     name = f"detail, {label(real.fps)}"
+    if train is None or real.fps < LEAST_FPS or not rows:
+        return []
     with task(config.on_progress, name), config.missing.skipping(name, (ClipError,)):
         detail = RealDetail.of(real, train, config.seed)
-        figures = {row: detail.profile(each).figures for row, each in rows.items() if row not in (REAL, P1)}
-        if not figures:
-            return blocks
-        columns, found = tuple(next(iter(figures.values()))), []
-        if detail.ranges is not None:
-            for bound, values in zip((LOWEST, HIGHEST), detail.ranges.tolist(), strict=True):
-                found.append(Row(bound, "reference", dict(zip(columns, map(Cell, values), strict=True))))
+        figures = {row: detail.profile(each).figures for row, each in rows.items()}
+        columns = tuple(next(iter(figures.values())))
+        bounds = () if detail.ranges is None else zip((LOWEST, HIGHEST), detail.ranges.tolist(), strict=True)
+        shown = [
+            Row(bound, "reference", dict(zip(columns, map(Cell, values), strict=True))) for bound, values in bounds
+        ]
         for row, by_column in figures.items():
-            cells = {
-                column: Cell(
-                    figure.value,
-                    details=dict(zip(("2.5 % over takes", "97.5 % over takes"), figure.interval, strict=True)),
-                    mark="" if figure.is_real else OUTSIDE,
-                )
-                for column, figure in by_column.items()
-            }
+            cells = {}
+            for column, figure in by_column.items():
+                interval = dict(zip(("2.5 % over takes", "97.5 % over takes"), figure.interval, strict=True))
+                cells[column] = Cell(figure.value, details=interval, mark="" if figure.is_real else OUTSIDE)
             note = "all of them" if row == TRAINING else notes.get(row, "")
-            found.append(Row(str(row), "reference" if row in REFERENCES else "ours", cells, note))
-        note = (
-            f"{DETAIL_NOTE} Real motion keeps {detail.real_slope:.2f} of the slope that the prediction was fitted with."
-        )
+            shown.append(Row(str(row), "reference" if row in REFERENCES else "ours", cells, note))
+        slope = f"Real motion keeps {detail.real_slope:.2f} of the slope that the prediction was fitted with."
         provenance = {"version": DETAIL_VERSION, "real_slope": detail.real_slope}
-        blocks.append(
-            Block(f"Detail profile, {label(real.fps)}", columns, tuple(found), note=note, provenance=provenance)
-        )
-    return blocks
+        title, note = f"Detail profile, {label(real.fps)}", f"{DETAIL_NOTE} {slope}"
+        return [Block(title, columns, tuple(shown), note=note, provenance=provenance)]
+    return []
 
 
 @dataclass(frozen=True, eq=False)
@@ -396,8 +351,8 @@ class Yardstick:
     @classmethod
     def of(cls, store: Store, config: EvalConfig, rates: Sequence[Fraction]) -> "Yardstick":
         """The framerates at which there is real motion; raises `NoRealMotionError` if there is none."""
-        real = real_motion(store, config.split, config.where)
-        train, comparisons = training_motion(store, real), {}
+        real = motions.real_motion(store, config.split, config.where)
+        train, comparisons = motions.training_motion(store, real), {}
         for fps in rates:
             with config.missing.skipping(f"clip-FID, {label(fps)}"):
                 comparisons[fps] = real_column(fps, real, train).comparison(KINEMATIC, config)
@@ -415,20 +370,18 @@ class Yardstick:
 
     def windows(self, model: GenerativeModel) -> list[Window]:
         """Requests with the real sequences' durations and conditions."""
-        return windows_of(self.real.at(min(self.comparisons)), model.max_duration_seconds)
+        return motions.windows_of(self.real.at(min(self.comparisons)), model.max_duration_seconds)
 
     def sets(self, row: RowId, fields: Mapping[Window, MotionField]) -> dict[Fraction, SampleSet]:
         """A row's motions at every framerate."""
-        found: dict[Fraction, SampleSet] = {}
-        for fps, comparison in self.comparisons.items():
-            if own := generated_at({row: fields}, comparison.real, fps, self.config.missing):
-                found[fps] = own[row]
-        return found
+        missing, by_fps = self.config.missing, self.comparisons.items()
+        found = {fps: generated_at({row: fields}, each.real, fps, missing) for fps, each in by_fps}
+        return {fps: own[row] for fps, own in found.items() if own}
 
     def clip_fid(self, row: RowId, sets: Mapping[Fraction, SampleSet]) -> dict[str, Cell]:
         """clip-FID of a row's motions by column."""
-        scored = {
-            label(fps): score_column(self.comparisons[fps], {row: each}, self.config.missing, halves=False)[0]
-            for fps, each in sets.items()
-        }
-        return {column: cells[row] for column, cells in scored.items() if row in cells}
+        cells = {}
+        for fps, samples in sets.items():
+            scored, _ = score_column(self.comparisons[fps], {row: samples}, self.config.missing, halves=False)
+            cells |= {label(fps): cell for cell in scored.values()}
+        return cells

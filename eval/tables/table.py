@@ -4,10 +4,7 @@ A package lists its own in `TABLES` (`motionkit.core.plugins`) as `PAPER-NUMBER`
 """
 
 import csv
-import hashlib
-import json
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
@@ -21,8 +18,7 @@ from eval.sample_folder import SampleFolder, SampleOptions, read_sample_folder
 from eval.sets.motions import of_split_and
 from eval.sets.sets import Missing
 from motionkit.core import plugins
-from motionkit.core.errors import DamagedFileError, UsageError
-from motionkit.core.files import read_json, write_json
+from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.store.reader import Store
 from motionkit.training.run import Loader
@@ -80,27 +76,6 @@ class EvalConfig:
         """The real motion's name in captions: the split, and the condition if there is one."""
         return f"split {self.split!r}" + (f" where {self.where}" if self.where else "")
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The settings that every table's numbers depend on."""
-        return {
-            "split": self.split,
-            "where": self.where,
-            "motions": self.max_motions,
-            "draws": self.draws,
-        }
-
-    def open_store(self) -> Store:
-        """The store, for reading."""
-        return Store.open(self.store, on_progress=self.on_progress)
-
-    def provenance(self, store: Store, *others: Path, **more: Any) -> dict[str, Any]:
-        """Provenance of a result: the store, the weights of evaluated and other runs, seed, environment, and `more`."""
-        runs = (*([] if self.run is None else [self.run]), *others, *(run for _, run in self.encoders))
-        name = self.run.name if self.run is not None and self.run.is_dir() else None
-        known = provenance(store.path, [run for run in runs if run.is_dir()])
-        return {**known, "run": name, **more, "seed": self.seed}
-
     @cached_property
     def sample_folders(self) -> tuple[SampleFolder, ...]:
         """The motions of every folder of samples, read when first accessed; raises `SampleFolderError`."""
@@ -118,8 +93,8 @@ class EvalConfig:
 class Content:
     """What a table computes: its blocks (those without rows are left out), the caption and notes.
 
-    `definition` are settings beyond `EvalConfig.settings`; `runs` are further runs whose weights count, `provenance` is
-    what else the numbers come from.
+    `definition` are further settings, `runs` further runs whose weights count, `provenance` is what else the numbers
+    come from.
     """
 
     caption: str
@@ -160,30 +135,32 @@ class Table:
     @property
     def target(self) -> str:
         """table:2, figure:5, as `motionkit train --for` has it."""
-        return self.place.lower().replace(" ", ":")
-
-    @property
-    def place(self) -> str:
-        """Table 2, Figure 5."""
-        number = self.number.removeprefix("figure")
-        return f"{'Table' if number == self.number else 'Figure'} {number}"
+        figure = self.number.removeprefix("figure")
+        return f"table:{self.number}" if figure == self.number else f"figure:{figure}"
 
     def build(self, config: EvalConfig) -> Result:
         """The result; what it lacks is in `config.missing` too. Raises what `compute` and opening the store raise."""
         config.missing.clear()
-        store = config.open_store()
+        store = Store.open(config.store, on_progress=config.on_progress)
         content = self.compute(config, store)
-        samples = {"samples": {each.name: each.fingerprint for each in config.sample_folders}} if config.samples else {}
+        run = config.run if config.run is not None and config.run.is_dir() else None
+        runs = [run, *content.runs, *(run for _, run in config.encoders)]
+        origin = provenance(store.path, [each for each in runs if each is not None and each.is_dir()])
+        origin |= {"run": run and run.name, **content.provenance, "seed": config.seed}
+        if config.samples:
+            origin["samples"] = {each.name: each.fingerprint for each in config.sample_folders}
+        settings = {"split": config.split, "where": config.where, "motions": config.max_motions, "draws": config.draws}
+        place = self.target.replace(":", " ").capitalize() if self.number[-1].isdigit() else self.number.capitalize()
         return Result(
             task=self.task or f"{self.paper}-{self.target.replace(':', '')}",
             version=self.version,
-            title=self.heading or f"{self.place}: {self.title}",
+            title=self.heading or f"{'' if self.is_default else 'PA-HiRes, '}{place}: {self.title}",
             caption=content.caption,
             blocks=tuple(block for block in content.blocks if block.rows),
-            definition={**config.settings, **content.definition},
+            definition={**settings, **content.definition},
             notes=content.notes,
             missing=config.missing.lines,
-            provenance=config.provenance(store, *content.runs, **samples, **content.provenance),
+            provenance=origin,
         )
 
 
@@ -245,19 +222,13 @@ def printed_block(
     return Block(title, columns or tuple(dict.fromkeys(map(column, known))), rows, lower_is_better, note)
 
 
-def cached(results: Path, name: str, terms: Mapping[str, Any], compute: Callable[[], Any]) -> Any:
-    """Plain values (as JSON), kept in RESULTS/parts for these terms: rows of several tables, or of an interrupted one.
-
-    Whatever the values depend on is in the terms: others are computed anew.
-    """
-    key = json.loads(json.dumps({"name": name, **terms}))
-    digest = hashlib.sha256(json.dumps(key, sort_keys=True).encode()).hexdigest()
-    path = results / "parts" / f"{name}-{digest[:16]}.json"
-    if path.is_file():
-        with suppress(DamagedFileError, KeyError):
-            document = read_json(path, "computing it anew")
-            if document["key"] == key:
-                return document["values"]
-    values = json.loads(json.dumps(compute()))
-    write_json(path, {"key": key, "values": values})
-    return values
+def mean_cells(of_seeds: Sequence[Mapping[str, Cell]]) -> dict[str, Cell]:
+    """The mean over a variant's seeds of each column, with their range as details; one seed's numbers as they are."""
+    if len(of_seeds) == 1:
+        return dict(of_seeds[0])
+    means = {}
+    for column in dict.fromkeys(column for cells in of_seeds for column in cells):
+        values = [cells[column].value for cells in of_seeds if column in cells]
+        details = {"lowest of the seeds": min(values), "highest of the seeds": max(values)}
+        means[column] = Cell(sum(values) / len(values), None, details)
+    return means

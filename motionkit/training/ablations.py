@@ -10,45 +10,28 @@ from typing import Any
 
 from motionkit.core import plugins
 from motionkit.core.errors import UsageError
-from motionkit.training.config import apply_overrides, parse_override
+from motionkit.training.config import apply_overrides
 from motionkit.training.run import RunFolder, Stage, StageContext
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One training run: a name, and the settings that it changes in a recipe, as `--set` takes them.
+    """One training run, which is a row of tables, or a cell if it has a `column`.
 
-    `needs` returns settings to apply to a recipe before the change.
+    Runs are called by `name`; `change` are the settings that differ from a recipe's, as `--set` takes them. `needs`
+    returns settings to apply to a recipe before. Rows of the same run differ in their `label` and `column` alone, and
+    are equal.
     """
 
     name: str
     change: tuple[str, ...] = ()
+    label: str = field(default="", compare=False)
+    column: str = field(default="", compare=False)
     needs: Callable[[Any], tuple[str, ...]] = field(default=lambda recipe: (), compare=False, repr=False)
 
     def configure(self, recipe: Any, overrides: Sequence[str] = ()) -> Any:
-        """A recipe's configuration with its needs, common overrides, and this variant's change.
-
-        Raises `UsageError` for an override of a varied setting.
-        """
-        varied = {parse_override(setting)[0] for setting in self.change}
-        for override in overrides:
-            if parse_override(override)[0] in varied:
-                raise UsageError(f"--set {override}: this is what {self.name!r} varies ({', '.join(self.change)})")
-        return apply_overrides(recipe, [*self.needs(recipe), *self.change, *overrides])
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A row of a table, or a cell if it has a `column`: a label and a variant."""
-
-    label: str
-    variant: Variant
-    column: str = ""
-
-    @property
-    def name(self) -> str:
-        """Row and column."""
-        return f"{self.label}; {self.column}" if self.column else self.label
+        """A recipe's configuration with its needs, common overrides, and this variant's change, which wins."""
+        return apply_overrides(recipe, [*self.needs(recipe), *overrides, *self.change])
 
 
 @dataclass(frozen=True)
@@ -57,22 +40,17 @@ class Ablation:
 
     table: str
     title: str
-    entries: tuple[Entry, ...]
+    variants: tuple[Variant, ...]
     stages: tuple[str, ...]
-
-    @property
-    def variants(self) -> tuple[Variant, ...]:
-        """All trainings of the table, in order of their first row."""
-        return tuple(dict.fromkeys(entry.variant for entry in self.entries))
 
 
 @dataclass(frozen=True)
 class Ablations:
     """All ablations of one paper's model, which is installed under the name `paper` too.
 
-    `stages` are the stages to train. `prepare`, called before a run's first stage with the context of the common run,
-    the variant's run and its configuration, gives that run what all variants share (a codebook), trained in the common
-    run if it is missing. `is_default` marks the default of `motionkit ablate`.
+    `prepare`, called before a run's first stage with the context of the common run, the variant's run and its
+    configuration, gives that run what all variants share (a codebook), trained in the common run if it is missing.
+    `is_default` marks the default of `motionkit ablate`.
     """
 
     paper: str
@@ -85,17 +63,17 @@ class Ablations:
         """The command that trains a table's variants as runs PREFIX-VARIANT."""
         return f"motionkit ablate {table}{'' if self.is_default else f' --paper {self.paper}'} --run {prefix.name}"
 
-    def trained_runs(self, table: str, prefix: Path | None, stage: str) -> dict[str, dict[int, RunFolder]]:
-        """The runs of a table's entries, by the entry's name and the seed, in which a stage is complete.
+    def trained_runs(self, table: str, prefix: Path | None, stage: str) -> dict[Variant, dict[int, RunFolder]]:
+        """The runs of a table's variants by their seeds, in which a stage is complete.
 
         Raises `UsageError` without the runs' prefix, or if none is trained.
         """
         if prefix is None:
             raise UsageError("an ablation table needs the name of its runs: --run NAME for runs/NAME-VARIANT")
         runs = {}
-        for entry in self.tables[table].entries:
-            named = {seed: run_of(prefix, entry.variant, seed) for seed in range(100)}
-            runs[entry.name] = {seed: run for seed, run in named.items() if run.stage(stage).is_complete}
+        for variant in self.tables[table].variants:
+            named = {seed: run_of(prefix, variant, seed) for seed in range(100)}
+            runs[variant] = {seed: run for seed, run in named.items() if run.stage(stage).is_complete}
         if not any(runs.values()):
             command = self.command(table, prefix)
             raise UsageError(f"no run of this table is trained in {str(prefix.parent)!r} ({command})")

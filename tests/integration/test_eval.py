@@ -153,8 +153,8 @@ def test_every_published_layout_gets_its_row(motionkit, store, tmp_path):
     samples = [part for name, path in folders.items() for part in ("--samples", f"{name}={path}")]
     np.save(tmp_path / "gpt" / "000009_pred.npy", np.full((1, 50, 22, 3), np.nan, np.float32))
     arguments = ("--store", store, "--results", tmp_path / "results", "--samples-fps", 20, "--json", *AT_20_FPS)
-    done = motionkit("eval", "--table", 2, *samples, *arguments, "--allow-broken")
-    assert (done.code, done.stderr.count("left out")) == (0, 1), done.stderr
+    done = motionkit("eval", "--table", 2, *samples, *arguments)
+    assert (done.code, done.stderr.count("left out of")) == (1, 1), done.stderr
     result = json.loads(done.stdout)
     rows = {row["name"]: row for row in result["blocks"][0]["rows"]}
     values = {name: rows[name]["cells"]["20 fps"]["value"] for name in folders}
@@ -186,7 +186,7 @@ def test_broken_samples_are_left_out_and_cost_the_exit_code(motionkit, store, tm
     assert all(line.startswith("left out of 'mine': ") for line in first)
     names = ("000009_pred.npy, frame 0: nan", "000010_pred.npy", "000011_pred.npy")
     assert all(name in line for name, line in zip(names, first, strict=True))
-    assert "built without broken samples (3 of 'mine'); --allow-broken accepts that" in done.stderr
+    assert "built without broken samples (3 of 'mine')" in done.stderr
     # Without a run, what trains models is none of the user's business.
     assert done.stderr.count("there is no run 'runs/nano': only --samples have rows") == 1
     assert "motionkit train" not in done.stdout + done.stderr

@@ -3,7 +3,6 @@
 A row of an ablation is a variant of `motionkit ablate`; its numbers are means over the seeds that it was trained with.
 """
 
-from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -13,7 +12,7 @@ from eval.report.results import Block, Cell, Row, measure
 from eval.sets.motions import generate_fields
 from eval.sets.sets import RowId
 from eval.tables.systems import COLUMNS, Trained, Yardstick, label, reconstructor, trained_reconstructors
-from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
+from eval.tables.table import SOURCES, Content, EvalConfig, Table, mean_cells, printed_block, reported_figures
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import tracked
 from motionkit.edit.encoders import encoder_loader, installed_encoders
@@ -25,7 +24,6 @@ from motionkit.training.run import RunFolder
 NERM = find_ablations("nerm")
 TRAINING, HELD_OUT = "training windows", "held-out windows"
 MOST_WINDOWS = 384
-LOWEST, HIGHEST = "lowest of the seeds", "highest of the seeds"
 SYNTHESIS = "Motion synthesis: clip-FID on the kinematic descriptor"
 MEASURES = {"mpjpe": measure("mpjpe", unit="mm"), "mre": measure("mre"), "clip_fid": measure(CLIP_FID)}
 # Table 4's blocks: the metric, and whether they are of the windows that have a truth in every column.
@@ -117,32 +115,27 @@ def ablated(ablation: Ablation, config: EvalConfig, store: Store) -> Content:
     blocks = []
     for title, (_, metric) in ABLATION_BLOCKS.items():
         rows = []
-        for entry in ablation.entries:
-            trained = [run for run in runs[entry.name].values() if title != SYNTHESIS or run in generating]
+        for variant in ablation.variants:
+            trained = [run for run in runs[variant].values() if title != SYNTHESIS or run in generating]
             steps = sorted({run.stage(encoder.stages[-1]).effort().get("steps", "?") for run in trained})
             note = f"field of {' or '.join(steps)} steps" + (f", {len(trained)} seeds" if len(trained) > 1 else "")
             if not trained:
-                note = f"not trained: {command} --only {entry.variant.name}"
-            cells = _mean([numbers[run][title] for run in trained if title in numbers[run]])
-            rows.append(Row(entry.label, "ours", cells, note))
+                note = f"not trained: {command} --only {variant.name}"
+            cells = mean_cells([numbers[run][title] for run in trained if title in numbers[run]])
+            rows.append(Row(variant.label, "ours", cells, note))
         if any(row.cells for row in rows):
             floors = yardstick.floor_rows() if title == SYNTHESIS and yardstick is not None else []
             blocks.append(Block(title, tuple(map(label, rates)), (*floors, *rows), metrics=(MEASURES[metric],)))
     if model.stages[-1] in ablation.stages and not generating:
         config.missing.add(f"clip-FID: no {model.stages[-1]} is trained ({command})")
-    printed = _printed(ablation.table)
     return Content(
         caption=(
             "What one setting does to the first stage's reconstructions and to generated motion. 'global' is the "
             f"paper's layout of z, 'local' ours. Compared with {config.real}; clip-FID as in Table 2."
         ),
-        blocks=(*blocks, *printed),
-        definition={"rows": {entry.label: list(entry.variant.change) for entry in ablation.entries}},
-        notes=() if printed else ("The paper's figures of this table are illegible in our copy, or it has none.",),
+        blocks=(*blocks, *_printed(ablation.table)),
+        definition={"rows": {variant.label: list(variant.change) for variant in ablation.variants}},
         runs=tuple(run.path for run in folders),
-        provenance={
-            "runs": {run.path.name: {name: run.stage(name).effort() for name in model.stages} for run in folders}
-        },
     )
 
 
@@ -174,21 +167,10 @@ def _reconstruction(trained: Trained[Any], store: Store, config: EvalConfig) -> 
     return found
 
 
-def _mean(of_seeds: Sequence[Mapping[str, Cell]]) -> dict[str, Cell]:
-    """The mean over seeds of each column; one seed's numbers as they are."""
-    if len(of_seeds) == 1:
-        return dict(of_seeds[0])
-    found = {}
-    for column in dict.fromkeys(column for cells in of_seeds for column in cells):
-        values = [cells[column].value for cells in of_seeds if column in cells]
-        found[column] = Cell(sum(values) / len(values), None, {LOWEST: min(values), HIGHEST: max(values)})
-    return found
-
-
 def _printed(table: str) -> list[Block]:
     """The paper's own figures in its own units: MRE, and clip-FID by its own evaluator."""
     figures = [figure for figure in reported_figures("nerm", table) if figure.value is not None]
-    blocks = [
+    return [
         printed_block(
             f"Printed in the NeRM paper (HumanML3D): {title}",
             [figure for figure in figures if figure.metric == metric],
@@ -198,7 +180,6 @@ def _printed(table: str) -> list[Block]:
         )
         for metric, title in PRINTED.items()
     ]
-    return [block for block in blocks if block.rows]
 
 
 TABLE_4 = Table(
@@ -208,12 +189,8 @@ TABLE_4 = Table(
     shown=partial(installed_encoders, "reconstruction"),
 )
 ABLATIONS = {
-    name: Table(
-        *("nerm", name, ablation.title, "ablation/1", partial(ablated, ablation)),
-        heading="" if name.isdigit() else f"Ours: {ablation.title}",
-        takes_samples=False,
-    )
-    for name, ablation in NERM.tables.items()
+    name: Table("nerm", name, each.title, "ablation/1", partial(ablated, each), takes_samples=False)
+    for name, each in NERM.tables.items()
 }
 TABLE_5, TABLE_6, TABLE_7, TABLE_8, TABLE_9 = (ABLATIONS[number] for number in "56789")
 TABLE_OURS = ABLATIONS["ours"]

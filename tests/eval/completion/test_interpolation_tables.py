@@ -192,11 +192,8 @@ def test_tables_1_and_2_have_all_data_sets_and_the_papers_figures(store: Path, t
         ]  # fmt: skip
         assert any(line.startswith("HumanML3D, 20 fps: the store has none of it") for line in result.missing)
         assert any("CMU, 120 fps: " in line and "whole multiple of 120 fps" in line for line in result.missing)
-        assert "**Small scale**" in result.caption
+        assert any("**Small scale**" in note for note in result.notes)
         assert "| hold |" in to_markdown(result)
-    parts = len(list((tmp_path / "results" / "parts").iterdir()))
-    assert TABLE_2.build(request(store, tmp_path)).blocks == result.blocks
-    assert len(list((tmp_path / "results" / "parts").iterdir())) == parts
 
 
 def test_tables_over_windows(store: Path, tmp_path: Path) -> None:
