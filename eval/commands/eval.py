@@ -70,6 +70,8 @@ def evaluate(
     from eval.tables.table import EvalConfig
 
     tables = _chosen(table, figure, calibrate, paper)
+    if calibrate and samples:
+        raise UsageError("--calibrate damages real motion by itself: leave out --samples")
     guo = None
     if weights is not None:
         from eval.text_motion.guo import GuoFiles

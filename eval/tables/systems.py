@@ -106,8 +106,12 @@ def trained_models(run: Path | None, missing: Missing) -> dict[str, TrainedModel
     Without a run there are none, and none is missing.
     """
     found: dict[str, TrainedModel] = {}
-    for loader in () if run is None else installed_models().values():
+    if run is None:
+        return found
+    for loader in installed_models().values():
         try:
+            if not run.is_dir():
+                raise RunError(f"there is no run {str(run)!r} ({loader.train_command(run)})")
             if not loader.begun_in(run):
                 raise RunError(f"run {run.name!r} has none ({loader.train_command(run)})")
             model = Trained(loader, run)
@@ -127,7 +131,9 @@ def require_models(run: Path | None, what: str, missing: Missing) -> dict[str, T
         raise UsageError(f"{what} needs trained systems: --run NAME (motionkit train --for {what.replace(' ', ':')})")
     found = trained_models(run, missing)
     if not found:
-        raise RunError(f"{str(run)!r} holds no trained system: motionkit train --for table:2 --run {run.name}")
+        begun = any(loader.begun_in(run) for loader in installed_models().values())
+        why = "; ".join(missing.lines) if begun else f"motionkit train --for table:2 --run {run.name}"
+        raise RunError(f"{str(run)!r} holds no trained system: {why}")
     return found
 
 
@@ -314,9 +320,9 @@ def detail_blocks(
 ) -> list[Block]:
     """The detail profile of rows at 40 fps or more; none below, without training motion, or of frozen real motion."""
     rows = {row: samples for row, samples in rows.items() if row not in (REAL, P1)}
-    name = f"detail, {label(real.fps)}"
+    name, blocks = f"detail, {label(real.fps)}", list[Block]()
     if train is None or real.fps < LEAST_FPS or not rows:
-        return []
+        return blocks
     with task(config.on_progress, name), config.missing.skipping(name, (ClipError,)):
         detail = RealDetail.of(real, train, config.seed)
         figures = {row: detail.profile(each).figures for row, each in rows.items()}
@@ -335,8 +341,8 @@ def detail_blocks(
         slope = f"Real motion keeps {detail.real_slope:.2f} of the slope that the prediction was fitted with."
         provenance = {"version": DETAIL_VERSION, "real_slope": detail.real_slope}
         title, note = f"Detail profile, {label(real.fps)}", f"{DETAIL_NOTE} {slope}"
-        return [Block(title, columns, tuple(shown), note=note, provenance=provenance)]
-    return []
+        blocks.append(Block(title, columns, tuple(shown), note=note, provenance=provenance))
+    return blocks
 
 
 @dataclass(frozen=True, eq=False)
@@ -380,7 +386,7 @@ class Yardstick:
 
     def clip_fid(self, row: RowId, sets: Mapping[Fraction, SampleSet]) -> dict[str, Cell]:
         """clip-FID of a row's motions by column."""
-        cells = {}
+        cells: dict[str, Cell] = {}
         for fps, samples in sets.items():
             scored, _ = score_column(self.comparisons[fps], {row: samples}, self.config.missing, halves=False)
             cells |= {label(fps): cell for cell in scored.values()}

@@ -46,7 +46,7 @@ def test_options_become_a_configuration(config_of: Callable[..., EvalConfig], tm
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"glove": Path("glove")}, "--glove needs a published evaluator"),
+        ({"glove": Path("glove")}, "--glove"),
         ({"samples": ["a=here", "a=there"]}, "of this name already"),
         ({"sizes": "64:16"}, "--sizes 64:16"),
         ({"calibrate": True}, "give --table NUMBER"),
