@@ -14,7 +14,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,6 @@ from torch import Tensor, nn
 from torch.nn.functional import smooth_l1_loss
 
 from motionkit.core.errors import UsageError
-from motionkit.core.files import whole_file
 from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.data.windows import chunks
 from motionkit.features import field
@@ -144,7 +142,7 @@ class Quantiser(nn.Module):
 
 
 class CodebookNetwork(nn.Module):
-    """Encoder, quantiser and decoder on standardised pose vectors [batch, frames, numbers]."""
+    """Encoder, quantiser and decoder on standardised pose vectors [batch, numbers, frames], frames a multiple of 4."""
 
     def __init__(self, config: CodebookNetworkConfig, num_features: int) -> None:
         super().__init__()
@@ -167,16 +165,6 @@ class CodebookNetwork(nn.Module):
             *(convolution(width, width), nn.ReLU(), *up(), *up()),
             *(convolution(width, width), nn.ReLU(), convolution(width, num_features)),
         )
-
-    def encode(self, vectors: Float[Tensor, "batch frames numbers"]) -> Float[Tensor, "batch code short_frames"]:
-        """Features before quantisation; `frames` must be a multiple of 4."""
-        features: Tensor = self.encoder(vectors.transpose(1, 2))
-        return features
-
-    def decode(self, features: Float[Tensor, "batch code short_frames"]) -> Float[Tensor, "batch frames numbers"]:
-        """Pose vectors from (quantised) features."""
-        vectors: Tensor = self.decoder(features).transpose(1, 2)
-        return vectors
 
 
 def codebook_vectors(
@@ -209,7 +197,7 @@ SMALLEST_SCALE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class VectorCorpus:
-    """Pose vectors of all sequences, concatenated, at 20 fps, as a memory map.
+    """Pose vectors of all sequences, concatenated, at 20 fps.
 
     `first_rows` are the rows at which a training window may start; `mean` and `scale` standardise each number.
     """
@@ -222,17 +210,22 @@ class VectorCorpus:
     def windows(self, starts: Int64[Tensor, "batch"], frames: int) -> Float32[Tensor, "batch frames numbers"]:
         """Standardised windows from the n-th possible starts."""
         rows = self.first_rows[starts.numpy()][:, None] + np.arange(frames)
-        return (torch.from_numpy(np.asarray(self.vectors[rows])) - self.mean) / self.scale
+        return (torch.from_numpy(self.vectors[rows]) - self.mean) / self.scale
 
 
-def vector_corpus(source: PositionCache, config: CodebookConfig, path: Path) -> VectorCorpus:
-    """The pose vectors of a corpus, from the file that `write_vectors` wrote for it."""
-    lengths = sequence_lengths(source, config)
+def vector_corpus(source: PositionCache, config: CodebookConfig) -> VectorCorpus:
+    """The pose vectors of a corpus, every sequence resampled to 20 fps; 500 bytes a pose in memory."""
+    from motionkit.fields.resample import resample_positions  # deferred: the field reads codes alone
+
+    lengths, blocks = sequence_lengths(source, config), []
+    for index in np.flatnonzero(lengths).tolist():
+        positions = np.asarray(source.sequence_positions(index))
+        positions = resample_positions(positions, source.exact_fps(index), Fraction(FPS))
+        blocks.append(codebook_vectors(positions, Fraction(FPS)))
     ends, frames = np.cumsum(lengths), config.window_frames
     starts = [np.arange(end - length, end - frames + 1) for end, length in zip(ends, lengths, strict=True) if length]
-    shape = int(ends[-1]), 6 * source.num_joints + 1
-    vectors = np.memmap(path, dtype="<f4", mode="r", shape=shape).view(np.ndarray)
-    total, squares = np.zeros(shape[1]), np.zeros(shape[1])
+    vectors = np.concatenate(blocks)
+    total, squares = np.zeros(vectors.shape[1]), np.zeros(vectors.shape[1])
     for rows in chunks(len(vectors), 16_384):
         block = vectors[rows].astype(np.float64)
         total += block.sum(0)
@@ -257,17 +250,6 @@ def sequence_lengths(source: PositionCache, config: CodebookConfig) -> Int64[np.
             f"lasts {(intervals / source.fps_numerator).max():.3g} s: set codebook.window_frames lower"
         )
     return np.where(lengths >= frames, lengths, 0)
-
-
-def write_vectors(source: PositionCache, config: CodebookConfig, path: Path) -> None:
-    """Resample every sequence to 20 fps and write its `codebook_vectors`."""
-    from motionkit.fields.resample import resample_positions  # deferred: the field reads codes alone
-
-    with whole_file(path) as temporary, temporary.open("wb") as file:
-        for index in np.flatnonzero(sequence_lengths(source, config)).tolist():
-            positions = np.asarray(source.sequence_positions(index))
-            positions = resample_positions(positions, source.exact_fps(index), Fraction(FPS))
-            file.write(codebook_vectors(positions, Fraction(FPS)).astype("<f4").tobytes())
 
 
 class CodebookTraining:
@@ -298,12 +280,12 @@ class CodebookTraining:
         share = len(starts) / schedule.batch_size
         vectors = self.corpus.windows(starts, config.window_frames).to(self.device)
         with autocast(config.precision, self.device):
-            features = self.network.encode(vectors).float()
+            features = self.network.encoder(vectors.transpose(1, 2)).float()
         everywhere = self.ranks.all_rows(features.detach(), schedule.batch_size)
         quantiser.start(everywhere, generator)
         codes, nearest, commitment = quantiser(features)
         with autocast(config.precision, self.device):
-            decoded = self.network.decode(codes).float()
+            decoded = self.network.decoder(codes).transpose(1, 2).float()
         reconstruction = smooth_l1_loss(decoded, vectors)
         positions = smooth_l1_loss(decoded[..., self.positions], vectors[..., self.positions])
         terms = reconstruction + POSITION_WEIGHT * positions
@@ -341,9 +323,6 @@ def load_published(path: Path) -> Float32[Tensor, "codes dimension"]:
     return codes.float()
 
 
-STAGE_NAME = "codebook"
-
-
 def train_codebook(context: StageContext, config: NermConfig) -> None:
     """Train the VQ-VAE, or take the codes of T2M-GPT's own; write codes [N, d] and network to model.safetensors."""
     store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
@@ -353,7 +332,7 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     weights = settings.published_weights
     if weights:
         codes = load_published(Path(weights))
-        folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
+        folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
         if ranks.is_first:
             save_tensors(folder.model_path, {"codes": codes}, description)
             folder.finish({"codes": len(codes), "from": weights})
@@ -361,17 +340,14 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     started = time.perf_counter()
     source = open_cache(store, layout="smpl22", where=settings.where or None)
     sequence_lengths(source, settings)
-    folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint)
-    vectors = folder.path / "vectors.f32"
-    ranks.on_first(partial(write_vectors, source, settings, vectors))
-    corpus = vector_corpus(source, settings, vectors)
+    folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
+    corpus = vector_corpus(source, settings)
     training = CodebookTraining(corpus, settings, seed=context.seed, device=device, ranks=ranks)
     figures = run_training(context, training, folder)
     if not ranks.is_first:
         return
     tensors = {"codes": training.network.quantiser.codes, "mean": corpus.mean, "scale": corpus.scale}
     save_tensors(folder.model_path, tensors | prefixed("network", training.network.state_dict()), description)
-    vectors.unlink()
     facts = {"poses": len(corpus.vectors), "wall_seconds": round(time.perf_counter() - started, 1)}
     folder.finish({**figures, **facts})
 

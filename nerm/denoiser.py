@@ -1,11 +1,10 @@
-"""Latent diffusion (paper §3.2, Eq. 5 and 6): the network ε_φ, its training on the field's posteriors, sampling."""
+"""Stage `denoiser`: training ε_φ on the latents of a trained field (paper §3.2, Eq. 5)."""
 
 import dataclasses
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -13,53 +12,39 @@ from torch import Tensor
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import sha256_of
-from motionkit.core.shapes import Float32, Float64, Int64
+from motionkit.core.shapes import Float32, Int64
 from motionkit.data.captions import actions_of_windows, captions_of_windows
-from motionkit.generate.models import SamplingOptions
 from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
-from motionkit.training.config import from_plain, to_plain
 from motionkit.training.loop import (
     ALONE,
     Learner,
     Ranks,
     autocast,
     dropout_from,
-    load_tensors,
-    prefixed,
-    rebuilding,
     resolve_device,
     run_training,
-    save_tensors,
     seeded_initialisation,
     step_generator,
-    unprefixed,
     with_precision_of,
 )
 from motionkit.training.networks import (
-    Adjust,
     Conditions,
-    ConditionSizes,
     WindowConditions,
     add_noise,
     cumulative_alphas,
-    guided,
-    predicted_noise,
     prediction_target,
     reparameterized,
-    sample,
-    sampling_steps,
     window_conditions,
 )
-from motionkit.training.run import RunError, RunFolder, StageContext
+from motionkit.training.run import RunError, StageContext
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
-from nerm.field import LatentSpace, TrainedField, load_field, measured_space
-from nerm.latents import LocalLatents, first_read, in_use
+from nerm.latents import LocalLatents, first_read, in_use, measured_space
+from nerm.model import TrainedDenoiser, TrainedField, load_field, save_denoiser, unit_rows
 from nerm.network import Denoiser
 from nerm.paraphrases import with_paraphrases
 from nerm.recipes import DenoiserConfig, NermConfig
 
-SAMPLES_PER_BATCH = 256
 WEIGHT_DECAY = 0.01
 DROP, ACTION_SHARE = 0.1, 0.25
 
@@ -75,11 +60,6 @@ class LatentCorpus:
 
     def __len__(self) -> int:
         return len(self.means)
-
-    @property
-    def first_read(self) -> Float32[Tensor, "latent"]:
-        """The earliest instant at which the field reads each number of z (`nerm.network.first_read`)."""
-        return first_read(self.means.shape[1], self.banks)
 
     def draw(self, rows: Int64[Tensor, "batch"], generator: torch.Generator) -> Float32[Tensor, "batch latent"]:
         """z ~ N(μ_i, Σ_i) for the windows `rows`, resampled at every call (§3.2)."""
@@ -117,152 +97,6 @@ def corpus_of(
     return LatentCorpus(field.posterior_mean, field.posterior_log_variance, conditions, field.network.local)
 
 
-def unit_rows(embeddings: Float32[np.ndarray, "texts dimension"]) -> Float32[np.ndarray, "texts dimension"]:
-    """Embeddings scaled to length 1; rows of zeros stay zeros."""
-    lengths = np.linalg.norm(embeddings, axis=1, keepdims=True)
-    return np.asarray(embeddings / np.where(lengths > 0, lengths, 1.0), dtype=np.float32)
-
-
-@dataclass(frozen=True, eq=False)
-class TrainedDenoiser:
-    """ε_φ with everything needed to sample latents.
-
-    `denoiser` holds the averaged weights; `space` is its latent space; `durations` are those of the training windows in
-    units of l_max; `text_encoder` and `text_fingerprint` identify the encoder it was trained with (empty without
-    texts), and `field_sha256` the field whose latents it generates.
-    """
-
-    config: DenoiserConfig
-    denoiser: Denoiser
-    space: LatentSpace
-    layout: ConditionSizes
-    durations: Float32[Tensor, "windows"]
-    text_encoder: str
-    text_fingerprint: str
-    field_sha256: str
-
-    def sample(
-        self,
-        conditions: Conditions,
-        *,
-        seed: int,
-        sampling: SamplingOptions = SamplingOptions(),
-        first: int = 0,
-        adjust: Adjust | None = None,
-    ) -> Float32[Tensor, "batch latent"]:
-        """One latent of the field per row of `conditions`; `adjust` may change each step's prediction.
-
-        Row i depends on (seed, `first` + i) alone, not on the other rows (up to rounding of batched sums). Numbers that
-        a motion of the row's duration does not use are the training mean.
-        """
-        config = self.with_sampling(sampling)
-        generators = [step_generator(seed, "generate", first + row) for row in range(len(conditions.action))]
-        batches = [slice(start, start + SAMPLES_PER_BATCH) for start in range(0, len(generators), SAMPLES_PER_BATCH)]
-        latents = torch.cat(
-            [self._sample_batch(config, conditions.rows(rows), generators[rows], adjust) for rows in batches]
-        )
-        if not torch.isfinite(latents).all():
-            scale = config.diffusion.guidance_scale
-            raise UsageError(f"sampling diverged: a guidance scale of {scale:g} is too large")
-        return latents
-
-    def with_sampling(self, sampling: SamplingOptions) -> DenoiserConfig:
-        """The configuration with these sampling options; raises `UsageError` for unsupported ones."""
-        diffusion = self.config.diffusion.adjusted(sampling.sampler, sampling.steps, sampling.guidance_scale)
-        return replace(self.config, diffusion=diffusion)
-
-    @torch.no_grad()
-    def _sample_batch(
-        self,
-        config: DenoiserConfig,
-        conditions: Conditions,
-        generators: Sequence[torch.Generator],
-        adjust: Adjust | None,
-    ) -> Float32[Tensor, "batch latent"]:
-        def draw_noise() -> Float64[Tensor, "batch latent"]:
-            drawn = [torch.randn(len(self.space.mean), generator=g, dtype=torch.float64) for g in generators]
-            return torch.stack(drawn)
-
-        device = self.denoiser.positions.device
-        diffusion = config.diffusion
-        scale = conditions.guidance(diffusion.guidance_scale)
-        on_device, nothing = conditions.to(device), conditions.unconditional().to(device)
-        alphas, steps = cumulative_alphas(diffusion), sampling_steps(diffusion)
-
-        def predict_noise(latents: Tensor, steps: Tensor) -> Tensor:
-            noisy = latents.to(device, torch.float32)
-            output = guided(self.denoiser, noisy, steps.to(device), on_device, nothing, scale)
-            alpha = float(alphas[int(steps[0])])
-            return predicted_noise(diffusion.prediction, output.to("cpu", torch.float64), latents, alpha)
-
-        fresh = draw_noise if diffusion.sampler == "ddpm" else None
-        latents = sample(predict_noise, draw_noise(), alphas, steps, draw_noise=fresh, adjust=adjust)
-        used = in_use(self.denoiser.first_read.to("cpu"), conditions.duration)
-        return self.space.restore(latents.to(torch.float32) * used)
-
-    def draw_durations(self, count: int, *, seed: int, first: int = 0) -> Float32[Tensor, "count"]:
-        """Sample durations of training windows, in units of l_max; number i depends on (seed, first + i) alone."""
-        generators = [step_generator(seed, "duration", first + i) for i in range(count)]
-        rows = [torch.randint(len(self.durations), (), generator=generator) for generator in generators]
-        return self.durations[torch.stack(rows)] if rows else self.durations[:0]
-
-
-STAGE_NAME = "denoiser"
-
-
-def save_denoiser(run: RunFolder, trained: TrainedDenoiser) -> None:
-    """Write RUN/denoiser/model.safetensors."""
-    tensors = prefixed("denoiser", trained.denoiser.state_dict()) | {
-        "latent_mean": trained.space.mean,
-        "latent_deviation": trained.space.deviation,
-        "durations": trained.durations,
-    }
-    description = {
-        "config": to_plain(trained.config),
-        "banks": None if trained.space.banks is None else to_plain(trained.space.banks),
-        "text_dimension": trained.layout.text_dimension,
-        "actions": list(trained.layout.actions),
-        "text_encoder": trained.text_encoder,
-        "text_fingerprint": trained.text_fingerprint,
-        "field_sha256": trained.field_sha256,
-    }
-    save_tensors(run.stage(STAGE_NAME).model_path, tensors, description)
-
-
-def load_denoiser(run: RunFolder, device: str | torch.device = "cpu") -> TrainedDenoiser:
-    """Read RUN/denoiser/model.safetensors; the network goes to `device`.
-
-    Raises `RunError` if the stage was not trained to its end, `CheckpointError` for a damaged file.
-    """
-    folder = run.stage(STAGE_NAME)
-    folder.read_summary()
-    tensors, description = load_tensors(folder.model_path)
-    with rebuilding(folder.model_path, STAGE_NAME):
-        trained = _rebuild(tensors, description)
-    trained.denoiser.to(device)
-    return trained
-
-
-def _rebuild(tensors: Mapping[str, Tensor], description: Mapping[str, Any]) -> TrainedDenoiser:
-    config = from_plain(DenoiserConfig, description["config"])
-    layout = ConditionSizes(int(description["text_dimension"]), tuple(description["actions"]))
-    banks = None if description["banks"] is None else from_plain(LocalLatents, description["banks"])
-    space = LatentSpace(banks, tensors["latent_mean"], tensors["latent_deviation"])
-    with seeded_initialisation(0, STAGE_NAME):
-        denoiser = Denoiser(config.network, tensors["denoiser.first_read"], layout)
-    denoiser.load_state_dict(unprefixed("denoiser", tensors))
-    return TrainedDenoiser(
-        config=config,
-        denoiser=denoiser.eval().requires_grad_(False),
-        space=space,
-        layout=layout,
-        durations=tensors["durations"],
-        text_encoder=str(description["text_encoder"]),
-        text_fingerprint=str(description["text_fingerprint"]),
-        field_sha256=str(description["field_sha256"]),
-    )
-
-
 class DenoiserTraining:
     """A `motionkit.training.loop.Trainable`: owns the denoiser, its weight average and the optimiser.
 
@@ -272,14 +106,11 @@ class DenoiserTraining:
     def __init__(
         self, config: DenoiserConfig, corpus: LatentCorpus, *, seed: int, device: torch.device, ranks: Ranks = ALONE
     ) -> None:
-        self.config = config
-        self.ranks = ranks
-        self.corpus = corpus
-        self.device = device
-        self.first_read = corpus.first_read
+        self.config, self.corpus, self.device, self.ranks = config, corpus, device, ranks
+        self.first_read = first_read(corpus.means.shape[1], corpus.banks)
         drawn = corpus.draw(torch.arange(len(corpus)), step_generator(seed, "latent space"))
         used = in_use(self.first_read, corpus.conditions.duration)
-        self.space = measured_space(drawn, used, corpus.banks, config.latent_scale)
+        self.space = measured_space(drawn, used, corpus.banks)
         self.alphas = cumulative_alphas(config.diffusion)
         self.steps = config.schedule.num_steps(len(corpus))
         with seeded_initialisation(seed, "denoiser"):
@@ -346,7 +177,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     corpus = corpus_of(field, store, encoder, settings.conditions.paraphrases, context.seed)
     if encoder is not None and not corpus.conditions.num_captions.any():
         raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
-    folder = context.begin(STAGE_NAME, config, store_fingerprint=store.fingerprint, builds_on=("field",))
+    folder = context.begin("denoiser", config, store_fingerprint=store.fingerprint, builds_on=("field",))
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
     figures = run_training(context, training, folder)
     if not ranks.is_first:
@@ -355,7 +186,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         text_fingerprint="" if encoder is None else encoder.fingerprint,
         field_sha256=sha256_of(context.run.stage("field").model_path),
     )
-    save_denoiser(context.run, trained)
+    save_denoiser(folder, trained)
     facts = {
         "steps": training.steps,
         "parameters": sum(parameter.numel() for parameter in training.denoiser.parameters()),

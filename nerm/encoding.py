@@ -20,6 +20,7 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.data.reconstruction import ModelWindows
 from motionkit.data.windows import (
     FrameValues,
+    PoseBatch,
     WindowPoses,
     Windows,
     chunks,
@@ -32,7 +33,7 @@ from motionkit.fields.assembly import AssembledField, Piece, assemble, even_star
 from motionkit.fields.motion_field import MotionField, Observation
 from motionkit.store.reader import Store
 from motionkit.training.run import RunFolder
-from nerm.field import PoseTensors, TrainedField, load_field
+from nerm.model import TrainedField, load_field
 from nerm.network import EncodedCoordinates
 from nerm.recipes import row_name
 
@@ -43,7 +44,7 @@ PROBES = 8
 SMALLEST_EFFECT = 0.05
 
 
-def encode_by_optimisation(trained: TrainedField, batch: PoseTensors) -> Float32[Tensor, "batch latent"]:
+def encode_by_optimisation(trained: TrainedField, batch: PoseBatch) -> Float32[Tensor, "batch latent"]:
     """The z of each clip of a batch: argmin ‖f_θ(t, z, s) − x‖² + λ_KL·½‖z‖²/d, independent of the other clips.
 
     A clip's poses must be in order of time. ½‖z‖²/d is the KL term for a fixed posterior variance; a field without
@@ -51,13 +52,13 @@ def encode_by_optimisation(trained: TrainedField, batch: PoseTensors) -> Float32
     """
     config, device = trained.config, trained.device
     kl_weight = config.loss.kl_weight if config.latents.variational else 0.0
-    target = trained.scaling.apply(batch.vectors.to(device))
-    model = trained.linear_model
-    start = torch.zeros(len(batch.window), trained.posterior_mean.shape[1]) if model is None else model.fit(batch)
-    start = start.to(device)
-    fps = batch.fps.to(device)
+    coordinates, fps, vectors = (torch.from_numpy(each) for each in (batch.coordinates, batch.fps, batch.vectors))
+    start, fps = torch.zeros(len(vectors), trained.posterior_mean.shape[1]), fps.to(device)
+    if trained.linear_model is not None:
+        start = trained.linear_model.fit(coordinates, vectors)
+    start, target = start.to(device), trained.scaling.apply(vectors.to(device))
     with torch.no_grad():
-        encoded = trained.network.encode_coordinates(batch.coordinates.to(device), fps)
+        encoded = trained.network.encode_coordinates(coordinates.to(device), fps)
     unit = 1.0 / effect_of_numbers(trained, start, encoded, fps)
 
     @torch.enable_grad()
@@ -232,11 +233,11 @@ class NermEncoder:
         yaw, origin = field.window_frame(positions[:, 0])
         seconds = observation.times_seconds[rows] - starts[:, None]
         fps = 1.0 / np.median(np.diff(observation.times_seconds)) if len(observation) > 1 else 30.0
-        batch = PoseTensors(
-            window=torch.arange(len(starts)),
-            coordinates=torch.from_numpy(normalise_seconds(seconds, self.trained.max_duration_seconds)),
-            fps=torch.full((len(starts),), float(fps), dtype=torch.float64),
-            vectors=torch.from_numpy(field.encode(positions, yaw, origin)),
+        batch = PoseBatch(
+            window=np.arange(len(starts)),
+            coordinates=normalise_seconds(seconds, self.trained.max_duration_seconds),
+            fps=np.full(len(starts), float(fps)),
+            vectors=field.encode(positions, yaw, origin),
         )
         latents = encode_by_optimisation(self.trained, batch)
         return [
@@ -272,7 +273,7 @@ def encode_windows(trained: TrainedField, windows: Windows, frames: FrameValues)
     """
     poses = WindowPoses(windows, frames)
     batches = (poses.evenly(rows, POSES_TO_ENCODE_FROM) for rows in chunks(len(windows), WINDOWS_AT_ONCE))
-    return torch.cat([encode_by_optimisation(trained, PoseTensors.of(batch)) for batch in batches])
+    return torch.cat([encode_by_optimisation(trained, batch) for batch in batches])
 
 
 def load(run: Path) -> NermEncoder:

@@ -17,12 +17,13 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, task, warn
-from motionkit.core.shapes import Float, Float32, Int64
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.windows import (
     FrameValues,
     WindowPoses,
     Windows,
+    chunks,
     cut_windows,
     normalise_seconds,
     open_frames,
@@ -50,22 +51,15 @@ from motionkit.training.loop import (
 )
 from motionkit.training.networks import kl_divergence, measure_scaling
 from motionkit.training.run import RunError, RunFolder, StageContext
-from nerm.field import (
-    NUM_LOGITS,
-    ContactHead,
-    PoseTensors,
-    TrainedField,
-    fit_windows,
-    linear_model,
-    measured_space,
-    save_field,
-)
-from nerm.latents import first_read, in_use
-from nerm.network import FieldNetwork
+from nerm.latents import first_read, in_use, linear_model, measured_space
+from nerm.model import TrainedField, save_field
+from nerm.network import NUM_LOGITS, ContactHead, FieldNetwork
 from nerm.recipes import FieldConfig, NermConfig
 
 LOG_VARIANCE_RANGE = (-12.0, 4.0)
 WARMUP_FPS = Fraction(20)
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8
+TIMES_PER_WINDOW, WINDOWS_AT_ONCE = 128, 256
 
 
 class RowAdam:
@@ -77,14 +71,9 @@ class RowAdam:
     def __init__(
         self,
         table: Float32[Tensor, "rows width"],
-        betas: tuple[float, float] = (0.9, 0.999),
-        epsilon: float = 1e-8,
         weight_decay: float = 0.0,
     ) -> None:
-        self.table = table
-        self.weight_decay = weight_decay
-        self.betas = betas
-        self.epsilon = epsilon
+        self.table, self.weight_decay = table, weight_decay
         self.first = torch.zeros_like(table)
         self.second = torch.zeros_like(table)
         self.count = torch.zeros(len(table), 1, device=table.device)
@@ -92,11 +81,10 @@ class RowAdam:
     @torch.no_grad()
     def update(self, rows: Int64[Tensor, "chosen"], gradient: Float32[Tensor, "chosen width"], rate: float) -> None:
         """One step on distinct rows."""
-        beta1, beta2 = self.betas
         count = self.count[rows] + 1.0
-        first = torch.lerp(self.first[rows], gradient, 1.0 - beta1)
-        second = torch.lerp(self.second[rows], gradient.square(), 1.0 - beta2)
-        step = rate * (first / (1.0 - beta1**count)) / ((second / (1.0 - beta2**count)).sqrt() + self.epsilon)
+        first = torch.lerp(self.first[rows], gradient, 1.0 - BETA1)
+        second = torch.lerp(self.second[rows], gradient.square(), 1.0 - BETA2)
+        step = rate * (first / (1.0 - BETA1**count)) / ((second / (1.0 - BETA2**count)).sqrt() + EPSILON)
         self.table[rows] = (1.0 - rate * self.weight_decay) * self.table[rows] - step
         self.first[rows], self.second[rows], self.count[rows] = first, second, count
 
@@ -127,7 +115,7 @@ class FieldTraining:
             poses,
             grouped=config.loss.scaling == "group",
             root_weight=config.loss.root_weight,
-            centred_path=config.latents.has_path,
+            centred_path=config.latents.layout == "local",
         )
         self.scaling = scaling.to(device)
         in_corpus = np.argsort(poses.windows.start_row, kind="stable")
@@ -135,14 +123,14 @@ class FieldTraining:
         with seeded_initialisation(seed, "field"):
             self.network = FieldNetwork(config, len(scaling.mean), codebook).to(device)
         # μ begins as N(0, 1), or as the linear model's fit.
-        model = linear_model(poses, scaling, config)
-        if model is None:
+        self.linear_model = None
+        if self.network.local is None:
             generator = step_generator(seed, "latents")
             means = torch.randn(len(poses.windows), config.latents.dimension, generator=generator)[self.own.rows]
         else:
-            means = fit_windows(poses, model, self.own.rows.numpy())
-            self.network.start_as_linear_model(model.components.mean, model.components.inverse())
-        self.components = None if model is None else model.components
+            self.linear_model = linear_model(_evenly(poses, np.arange(len(poses.windows))), scaling, self.network.local)
+            means = torch.cat([self.linear_model.fit(*each) for each in _evenly(poses, self.own.rows.numpy())])
+            self.network.start_as_linear_model(self.linear_model.mean, self.linear_model.inverse())
         # Eq. 9 has no Σ: with this log-variance stage 2 effectively draws μ.
         start = config.latents.initial_log_variance if config.latents.variational else LOG_VARIANCE_RANGE[0]
         self.visits = rows_by_duration(poses.windows, config.clips.seconds_per_visit)
@@ -169,38 +157,8 @@ class FieldTraining:
         visits = shuffled_batches(len(self.visits), config.schedule.batch_size, step, self.seed)
         windows = torch.from_numpy(self.visits[visits])
         mine = self.own.mine(windows)
-        batch = self._draw(step, windows, mine, generator)
-        distinct, which = torch.unique(windows[mine], return_inverse=True)
-        rows = self.own.place(distinct).to(self.device)
-        posterior = self.latents.table[rows].requires_grad_()
-        mean, log_variance = posterior.chunk(2, dim=1)
-        latents = mean[which]
-        if config.latents.variational:
-            noise = torch.randn(len(windows), latents.shape[1], generator=generator)[mine].to(self.device)
-            latents = latents + torch.exp(0.5 * log_variance[which]) * noise  # Eq. 1
-        with autocast(config.precision, self.device):
-            predicted = self.network(latents, batch.coordinates, batch.fps)
-        # This rank's share of means over the whole batch.
-        squares = (predicted.float() - self.scaling.apply(batch.vectors)).square()
-        reconstruction = squares.sum() / (len(windows) * squares.shape[1:].numel())
-        kl = kl_divergence(mean, log_variance).sum() / (mean.shape[1] * len(torch.unique(windows)))  # Eq. 3
-        loss = reconstruction + config.loss.kl_weight * kl if config.latents.variational else reconstruction
-        factor = config.schedule.factor(step, self.steps)
-        self.learner.descend(loss, step, config.schedule.learning_rate * factor)
-        assert posterior.grad is not None
-        self.latents.update(rows, posterior.grad, config.optimizer.latent_learning_rate * factor)
-        self.latents.table[rows, mean.shape[1] :] = self.latents.table[rows, mean.shape[1] :].clamp(*LOG_VARIANCE_RANGE)
-        return {"loss": loss, "reconstruction": reconstruction, "kl": kl}
-
-    def _draw(
-        self,
-        step: int,
-        windows: Int64[Tensor, "batch"],
-        mine: Int64[Tensor, "mine"],
-        generator: torch.Generator,
-    ) -> PoseTensors:
-        """The clips of a step: at one fixed framerate during warm-up, then at all native ones (or at `fixed_fps`)."""
-        clips = self.config.clips
+        clips = config.clips
+        # Poses at one framerate during warm-up, then at all native ones (or at `fixed_fps`).
         warming_up = step < clips.warmup_fraction * self.steps and clips.fixed_fps is None
         batch = self.poses.draw(
             windows.numpy(),
@@ -211,7 +169,30 @@ class FieldTraining:
             lowest_fps=clips.lowest_fps,
             rows=mine.numpy(),
         )
-        return PoseTensors.of(batch).to(self.device)
+        coordinates, fps, vectors = (
+            torch.from_numpy(each).to(self.device) for each in (batch.coordinates, batch.fps, batch.vectors)
+        )
+        distinct, which = torch.unique(windows[mine], return_inverse=True)
+        rows = self.own.place(distinct).to(self.device)
+        posterior = self.latents.table[rows].requires_grad_()
+        mean, log_variance = posterior.chunk(2, dim=1)
+        latents = mean[which]
+        if config.latents.variational:
+            noise = torch.randn(len(windows), latents.shape[1], generator=generator)[mine].to(self.device)
+            latents = latents + torch.exp(0.5 * log_variance[which]) * noise  # Eq. 1
+        with autocast(config.precision, self.device):
+            predicted = self.network(latents, coordinates, fps)
+        # This rank's share of means over the whole batch.
+        squares = (predicted.float() - self.scaling.apply(vectors)).square()
+        reconstruction = squares.sum() / (len(windows) * squares.shape[1:].numel())
+        kl = kl_divergence(mean, log_variance).sum() / (mean.shape[1] * len(torch.unique(windows)))  # Eq. 3
+        loss = reconstruction + config.loss.kl_weight * kl if config.latents.variational else reconstruction
+        factor = config.schedule.factor(step, self.steps)
+        self.learner.descend(loss, step, config.schedule.learning_rate * factor)
+        assert posterior.grad is not None
+        self.latents.update(rows, posterior.grad, config.optimizer.latent_learning_rate * factor)
+        self.latents.table[rows, mean.shape[1] :] = self.latents.table[rows, mean.shape[1] :].clamp(*LOG_VARIANCE_RANGE)
+        return {"loss": loss, "reconstruction": reconstruction, "kl": kl}
 
     def posteriors(self) -> tuple[Float32[Tensor, "windows latent"], Float32[Tensor, "windows latent"]]:
         """{μ_i} and {log Σ_i} of all windows, on the CPU of the first rank."""
@@ -228,6 +209,15 @@ class FieldTraining:
         self.learner.load_state_tensors(tensors)
         for name, table in self.latents.tensors().items():
             table.copy_(tensors[f"latents.{name}"][self.own.rows])
+
+
+def _evenly(
+    poses: WindowPoses, windows: Int64[np.ndarray, "chosen"]
+) -> Iterator[tuple[Float64[Tensor, "some times"], Float32[Tensor, "some times numbers"]]]:
+    """Coordinates and vectors of poses spread evenly over each of these windows."""
+    for rows in chunks(len(windows), WINDOWS_AT_ONCE):
+        batch = poses.evenly(windows[rows], TIMES_PER_WINDOW)
+        yield torch.from_numpy(batch.coordinates), torch.from_numpy(batch.vectors)
 
 
 def training_windows(source: PositionCache, config: FieldConfig) -> Windows:
@@ -253,27 +243,6 @@ def training_windows(source: PositionCache, config: FieldConfig) -> Windows:
     return windows.select(fast)
 
 
-def remarks(source: PositionCache, windows: Windows, config: FieldConfig) -> list[str]:
-    """Warnings about training on these windows, a sentence each."""
-    sentences, clips, fixed = [], config.clips, config.clips.fixed_framerate
-    fps = source.fps_numerator / source.fps_denominator
-    if fixed is not None:
-        slow = int((fps < float(fixed) - 1e-6).sum())
-        if slow:
-            sentences.append(f"{slow} of {len(fps)} sequences are slower than field.clips.fixed_fps and are left out")
-    elif len(np.unique(windows.fps)) == 1:
-        sentences.append(f"every training sequence has {windows.fps[0]:g} fps: the field cannot learn other framerates")
-    slowest = windows.fps if clips.warmup_fraction == 0 else np.minimum(windows.fps, float(WARMUP_FPS))
-    slowest = slowest if fixed is None else np.full(len(windows), float(fixed))
-    short = windows.duration_seconds * slowest + 1 < clips.num_poses - 1e-6
-    if clips.contiguous and short.any():
-        sentences.append(
-            f"{int(short.sum())} of {len(windows)} windows are shorter than a clip of field.clips.num_poses="
-            f"{clips.num_poses} poses; their last pose is repeated"
-        )
-    return sentences
-
-
 def train_field(context: StageContext, config: NermConfig) -> None:
     """Train f_θ and the posteriors of all windows; write both, with the window table, to model.safetensors."""
     store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
@@ -286,8 +255,8 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     codes = load_codes(context.run) if settings.encoder.kind == "codebook" else None
     builds_on = () if codes is None else ("codebook",)
     folder = context.begin("field", config, store_fingerprint=store.fingerprint, builds_on=builds_on)
-    for remark in remarks(source, windows, settings) if ranks.is_first else []:
-        warn(remark)
+    if ranks.is_first and settings.clips.fixed_fps is None and len(np.unique(windows.fps)) == 1:
+        warn(f"every training sequence has {windows.fps[0]:g} fps: the field cannot learn other framerates")
     poses = WindowPoses(windows, frames, settings.clips.fixed_framerate)
     training = FieldTraining(poses, settings, codebook=codes, seed=context.seed, device=device, ranks=ranks)
     figures = run_training(context, training, folder)
@@ -297,7 +266,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     trained = TrainedField(
         network=training.network.eval().requires_grad_(False),
         scaling=training.scaling,
-        components=training.components,
+        linear_model=training.linear_model,
         posterior_mean=mean,
         posterior_log_variance=log_variance,
         windows=windows,
@@ -332,7 +301,7 @@ def train_contacts(
     network, windows, config, device = trained.network, trained.windows, trained.config, trained.device
     means, banks = trained.posterior_mean, network.local
     duration = torch.from_numpy(windows.duration_seconds / windows.max_duration_seconds).float()
-    space = measured_space(means, in_use(first_read(means.shape[1], banks), duration), banks, "component")
+    space = measured_space(means, in_use(first_read(means.shape[1], banks), duration), banks)
     with seeded_initialisation(seed, "contacts"):
         head = ContactHead(network.num_read).to(device)
     learner = Learner(head, torch.optim.AdamW(head.parameters(), weight_decay=0.0))

@@ -1,4 +1,4 @@
-"""How the field reads a latent z.
+"""The latent z: how the field reads it, what it begins as, and the numbers that the diffusion sees.
 
 The paper's layout, `global`, joins z to every coordinate. The layout `local` (ours) reads z as banks of knots along
 time. A pose bank holds `numbers` pose components at each of its knots; banks may differ in their number of knots, since
@@ -8,72 +8,58 @@ segment.
 
 K knots divide [−1, 1] evenly: knot k is the centre t_k = −1 + (2k + 1) / K of its interval, so that two intervals of a
 bank of 32 are one of a bank of 16. With u_k = (t − t_k) / spacing, an instant reads Σ_k e_j(u_k)·z_k for every mode
-j. Mode 0 is an interpolant: a Hann window, or Lanczos' windowed sinc, which passes through the knots and keeps more of
-the band below their Nyquist rate; both are scaled to sum to one. The others are a Hann window times cos(πju / radius)
-and sin(πju / radius). Nothing else depends on the absolute time, so the network is shift-invariant.
+j. Mode 0 is an interpolant: Lanczos' windowed sinc, scaled to sum to one, which passes through the knots. The others
+are a Hann window times cos(πju / 3) and sin(πju / 3). Nothing else depends on the absolute time, so the network is
+shift-invariant.
+
+Local latents start from a linear model of the poses, fitted to a window by ridge regression: the path bank is fitted to
+the root's path and heading, then the pose banks to the principal components of the poses relative to the fitted path.
+The network starts as the same linear model.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64, Shaped
+from motionkit.features import field
+from motionkit.training.networks import VectorScaling
 from nerm.recipes import FieldConfig
 
-Kernel = Literal["hann", "lanczos"]
-LANCZOS_RADIUS = 3.0
+# Of all basis functions, in knot spacings; waves beside the interpolant.
+RADIUS, NUM_WAVES = 3, 3
 
 
 @dataclass(frozen=True)
 class Bank:
-    """`num_knots` knots with some numbers each, and their basis functions.
-
-    `kernel` is the interpolant, `radius` that of windows in knot spacings, `modes` the number of waves.
-    """
+    """`num_knots` knots of some numbers each, and their basis functions."""
 
     num_knots: int
     numbers: int
-    kernel: Kernel
-    radius: float
-    modes: int
 
     def __post_init__(self) -> None:
-        if self.num_knots < 2 or self.radius < 1.0:
-            raise ValueError("a local latent needs at least two knots and a radius of at least one spacing")
+        if self.num_knots < 2:
+            raise ValueError("a local latent needs at least two knots")
 
     @property
     def spacing(self) -> float:
         """Distance between knots in units of t."""
         return 2.0 / self.num_knots
 
-    @property
-    def reach(self) -> float:
-        """Support radius of a knot's basis functions, in knot spacings."""
-        of_kernel = LANCZOS_RADIUS if self.kernel == "lanczos" else self.radius
-        return max(of_kernel, self.radius) if self.modes else of_kernel
-
-    def centres(self) -> Float64[Tensor, "knots"]:
-        """Positions of the knots in [−1, 1]."""
-        return -1.0 + (torch.arange(self.num_knots, dtype=torch.float64) + 0.5) * self.spacing
-
     def interpolant(self, coordinates: Float64[Tensor, "times"]) -> Float64[Tensor, "times knots"]:
         """Weights of mode 0, which sum to one at each time.
 
         In the half spacing before the first knot and after the last, knots are extrapolated linearly.
         """
-        outside = math.ceil(LANCZOS_RADIUS)
-        offset = self._offset(coordinates, outside)
-        if self.kernel == "hann":
-            weights = _hann(offset, self.radius)
-        else:
-            inside = offset.abs() < LANCZOS_RADIUS
-            weights = torch.sinc(offset) * torch.sinc(offset / LANCZOS_RADIUS) * inside
+        offset = self._offset(coordinates, outside=RADIUS)
+        weights = torch.sinc(offset) * torch.sinc(offset / RADIUS) * (offset.abs() < RADIUS)
         weights = weights / weights.sum(dim=1, keepdim=True)
-        before, own, after = weights.tensor_split((outside, outside + self.num_knots), dim=1)
-        distance = torch.arange(1, outside + 1, dtype=torch.float64, device=weights.device)
+        before, own, after = weights.tensor_split((RADIUS, RADIUS + self.num_knots), dim=1)
+        distance = torch.arange(1, RADIUS + 1, dtype=torch.float64, device=weights.device)
         own[:, 0] += before.flip(1) @ (1.0 + distance)
         own[:, 1] -= before.flip(1) @ distance
         own[:, -1] += after @ (1.0 + distance)
@@ -86,10 +72,10 @@ class Bank:
         return (self.interpolant(coordinates + step) - self.interpolant(coordinates - step)) / 2e-4
 
     def basis(self, coordinates: Float64[Tensor, "times"]) -> Float32[Tensor, "times basis knots"]:
-        """Weights of all knots at some coordinates, for each mode; zero outside a knot's reach."""
+        """Weights of all knots at some coordinates, for each mode; zero outside a knot's radius."""
         offset = self._offset(coordinates)
-        bump = _hann(offset, self.radius)
-        angles = [math.pi * mode * offset / self.radius for mode in range(1, self.modes + 1)]
+        bump = 0.5 * (1.0 + torch.cos(math.pi * offset / RADIUS)) * (offset.abs() < RADIUS) / RADIUS
+        angles = [math.pi * mode * offset / RADIUS for mode in range(1, NUM_WAVES + 1)]
         waves = [bump * wave(angle) for angle in angles for wave in (torch.cos, torch.sin)]
         return torch.stack([self.interpolant(coordinates), *waves], dim=1).float()
 
@@ -97,11 +83,6 @@ class Bank:
         """Distances in knot spacings from all knots, and from as many beyond either end."""
         knots = torch.arange(-outside, self.num_knots + outside, dtype=torch.float64, device=coordinates.device)
         return (coordinates[:, None] + 1.0) / self.spacing - (knots + 0.5)
-
-
-def _hann(offset: Float64[Tensor, "times offsets"], radius: float) -> Float64[Tensor, "times offsets"]:
-    """A Hann window of unit area."""
-    return 0.5 * (1.0 + torch.cos(math.pi * offset / radius)) * (offset.abs() < radius) / radius
 
 
 def mix(
@@ -116,94 +97,18 @@ def mix(
 NUM_PATH_NUMBERS = 3
 
 
-def turned(vectors: Float[Tensor, "*poses numbers"], yaw: Float[Tensor, "*poses"]) -> Float[Tensor, "*poses numbers"]:
-    """Rotate `field` vectors about the vertical by radians (positive from Z+ towards X+), root position included."""
-    cosine, sine = torch.cos(yaw)[..., None], torch.sin(yaw)[..., None]
-    x, y, z = vectors.reshape(*vectors.shape[:-1], vectors.shape[-1] // 3, 3).unbind(-1)
-    return torch.stack((cosine * x + sine * z, y, cosine * z - sine * x), dim=-1).flatten(-2)
-
-
-def placed(
-    relative: Float[Tensor, "*poses numbers"], path: Float[Tensor, "*poses 3"]
-) -> Float[Tensor, "*poses numbers"]:
-    """Poses relative to a path → `field` vectors in the window's frame."""
-    return _moved(turned(relative, path[..., 2]), path, 1.0)
-
-
-def relative_to(
-    vectors: Float[Tensor, "*poses numbers"], path: Float[Tensor, "*poses 3"]
-) -> Float[Tensor, "*poses numbers"]:
-    """`field` vectors in the window's frame → poses relative to a path; the inverse of `placed`."""
-    return turned(_moved(vectors, path, -1.0), -path[..., 2])
-
-
-def path_speed(slope: Float[Tensor, "*poses 3"], path: Float[Tensor, "*poses 3"]) -> Float[Tensor, "*poses 3"]:
-    """The path's velocity in the body's frame: sideways, forward, turning."""
-    cosine, sine = torch.cos(path[..., 2]), torch.sin(path[..., 2])
-    x, z, turning = slope.unbind(-1)
-    return torch.stack((cosine * x - sine * z, sine * x + cosine * z, turning), dim=-1)
-
-
-def _moved(
-    vectors: Float[Tensor, "*poses numbers"], path: Float[Tensor, "*poses 3"], sign: float
-) -> Float[Tensor, "*poses numbers"]:
-    x, height, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    root = torch.stack((x + sign * path[..., 0], height, z + sign * path[..., 1]), dim=-1)
-    return torch.cat((root, vectors[..., 3:]), dim=-1)
-
-
-@dataclass(frozen=True, eq=False)
-class LatentNumbers:
-    """Describes each number of z.
-
-    `bank` is the index of the bank (the path bank last), `knot` the index within it, `centre` that knot's t and `reach`
-    its support radius in t; `component` is the pose component's rank over all pose banks, or 0, 1, 2 for the path's x,
-    z and heading.
-    """
-
-    bank: Int64[Tensor, "latent"]
-    knot: Int64[Tensor, "latent"]
-    component: Int64[Tensor, "latent"]
-    centre: Float64[Tensor, "latent"]
-    reach: Float64[Tensor, "latent"]
-
-
-@dataclass(frozen=True, eq=False)
-class KnotWeights:
-    """The weights of every bank's knots at D distinct coordinates; `path` holds interpolant and slope."""
-
-    pose: tuple[Float32[Tensor, "distinct _ _"], ...]
-    path: Float32[Tensor, "distinct 2 _"] | None
-
-    def first(self, coordinates: int) -> "KnotWeights":
-        """The weights at the first coordinates."""
-        path = None if self.path is None else self.path[:coordinates]
-        return KnotWeights(tuple(each[:coordinates] for each in self.pose), path)
-
-
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """What poses read from z: the network's input, pose components first, and the body's path.
-
-    `path` is x and z in standardised units and the heading in radians.
-    """
-
-    inputs: Float32[Tensor, "batch poses inputs"]
-    path: Float32[Tensor, "batch poses 3"] | None
-
-
 @dataclass(frozen=True)
 class LocalLatents:
     """The banks of z; path positions are `path_unit` times their numbers, in standardised units."""
 
     pose: tuple[Bank, ...]
-    path: Bank | None
+    path: Bank
     path_unit: float = 1.0
 
     @property
     def banks(self) -> tuple[Bank, ...]:
         """All banks, the path last."""
-        return self.pose if self.path is None else (*self.pose, self.path)
+        return (*self.pose, self.path)
 
     @property
     def num_segments(self) -> int:
@@ -223,13 +128,17 @@ class LocalLatents:
     @property
     def num_inputs(self) -> int:
         """Size of the network's input from z at an instant."""
-        of_path = 0 if self.path is None else NUM_PATH_NUMBERS
-        return of_path + sum(bank.numbers * (1 + 2 * bank.modes) for bank in self.pose)
+        return NUM_PATH_NUMBERS + self.num_components * (1 + 2 * NUM_WAVES)
 
     @property
     def phase_period(self) -> float:
         """The period of the knots, in t: the spacing of the coarsest bank."""
         return 2.0 / self.num_segments
+
+    @property
+    def path_units(self) -> Float32[Tensor, "3"]:
+        """The unit of each path number: standardised units of x and of z, radians of heading."""
+        return torch.tensor([self.path_unit, self.path_unit, 1.0])
 
     def split(self, latents: Float[Tensor, "batch latent"]) -> list[Float[Tensor, "batch _ _"]]:
         """z → [batch, knots, numbers] of each bank."""
@@ -245,62 +154,42 @@ class LocalLatents:
         """The inverse of `split`."""
         return torch.cat([knots.reshape(len(knots), self.num_segments, -1) for knots in banks], dim=-1).flatten(1)
 
-    def describe(self) -> LatentNumbers:
-        """What each number is."""
-        bank, knot, component, centre, reach = [], [], [], [], []
-        first_component = 0
-        for index, each in enumerate(self.banks):
-            shape = (1, each.num_knots, each.numbers)
-            first = 0 if each is self.path else first_component
-            bank.append(torch.full(shape, index))
-            knot.append(torch.arange(each.num_knots)[None, :, None].expand(shape))
-            component.append((first + torch.arange(each.numbers)).expand(shape))
-            centre.append(each.centres()[None, :, None].expand(shape))
-            reach.append(torch.full(shape, each.reach * each.spacing, dtype=torch.float64))
-            first_component += each.numbers
-        return LatentNumbers(*(self.join(values)[0] for values in (bank, knot, component, centre, reach)))
-
-    def weights(self, coordinates: Float64[Tensor, "distinct"]) -> KnotWeights:
-        """Weights for reading at these coordinates."""
-        path = None
-        if self.path is not None:
-            path = torch.stack((self.path.interpolant(coordinates), self.path.slope(coordinates)), dim=1).float()
-        return KnotWeights(tuple(bank.basis(coordinates) for bank in self.pose), path)
+    def weights(self, coordinates: Float64[Tensor, "distinct"]) -> tuple[Float32[Tensor, "distinct _ _"], ...]:
+        """Each bank's weights at these coordinates: all modes of a pose bank, interpolant and slope of the path."""
+        path = torch.stack((self.path.interpolant(coordinates), self.path.slope(coordinates)), dim=1).float()
+        return (*(bank.basis(coordinates) for bank in self.pose), path)
 
     def read(
         self,
         latents: Float[Tensor, "batch latent"],
-        weights: KnotWeights,
+        weights: tuple[Float32[Tensor, "distinct _ _"], ...],
         which: Int64[Tensor, "batch poses"],
-    ) -> Reading:
-        """Read z at each pose of each clip, in float32 even under autocast: bfloat16 is too coarse for a path."""
+    ) -> tuple[Float32[Tensor, "batch poses inputs"], Float32[Tensor, "batch poses 3"]]:
+        """Read z at each pose of each clip: the network's input, pose components first, and the body's path.
+
+        The path is x and z in standardised units and the heading in radians; the input has its velocity in the body's
+        frame (sideways, forward, turning). In float32 even under autocast: bfloat16 is too coarse for a path.
+        """
         with torch.autocast(latents.device.type, enabled=False):
             banks = self.split(latents.float())
-            mixed = [mix(knots, basis[which]) for knots, basis in zip(banks, weights.pose, strict=False)]
+            *mixed, of_path = (mix(knots, basis[which]) for knots, basis in zip(banks, weights, strict=True))
             components = [each[..., : bank.numbers] for each, bank in zip(mixed, self.pose, strict=True)]
             waves = [each[..., bank.numbers :] for each, bank in zip(mixed, self.pose, strict=True)]
-            if weights.path is None:
-                return Reading(torch.cat((*components, *waves), dim=-1), None)
-            path, slope = mix(banks[-1], weights.path[which]).tensor_split(2, dim=-1)
-            inputs = torch.cat((*components, *waves, path_speed(slope, path)), dim=-1)
-            return Reading(inputs, path * self.path_units().to(path.device))
-
-    def path_units(self) -> Float32[Tensor, "3"]:
-        """The unit of each path number: standardised units of x and of z, radians of heading."""
-        return torch.tensor([self.path_unit, self.path_unit, 1.0])
+            path, slope = of_path.tensor_split(2, dim=-1)
+            cosine, sine = torch.cos(path[..., 2]), torch.sin(path[..., 2])
+            x, z, turning = slope.unbind(-1)
+            speed = torch.stack((cosine * x - sine * z, sine * x + cosine * z, turning), dim=-1)
+            return torch.cat((*components, *waves, speed), dim=-1), path * self.path_units.to(path.device)
 
 
 def local_latents(config: FieldConfig) -> LocalLatents | None:
     """The banks of a configuration; None for the paper's global latents."""
-    if config.latents.layout != "local":
-        return None
-
     latents = config.latents
-    shape = latents.kernel, latents.radius
+    if latents.layout == "global":
+        return None
     banks = zip(latents.knots, latents.knot_numbers, strict=True)
-    pose = tuple(Bank(count, numbers, *shape, latents.modes) for count, numbers in banks)
-    path = Bank(latents.path_knots, NUM_PATH_NUMBERS, *shape, 0) if latents.path_knots else None
-    return LocalLatents(pose, path, config.loss.root_weight)
+    path = Bank(latents.path_knots, NUM_PATH_NUMBERS)
+    return LocalLatents(tuple(Bank(count, numbers) for count, numbers in banks), path, config.loss.root_weight)
 
 
 ALWAYS = -1.0
@@ -310,10 +199,242 @@ def first_read(dimension: int, banks: LocalLatents | None) -> Float32[Tensor, "l
     """The earliest instant, in units of l_max, at which the field reads each number of z; `ALWAYS` without knots."""
     if banks is None:
         return torch.full((dimension,), ALWAYS)
-    numbers = banks.describe()
-    return (0.5 * (1.0 + numbers.centre - numbers.reach)).to(torch.float32)
+    earliest = []
+    for bank in banks.banks:
+        centres = -1.0 + (torch.arange(bank.num_knots, dtype=torch.float64) + 0.5) * bank.spacing
+        instants = 0.5 * (1.0 + centres - RADIUS * bank.spacing)
+        earliest.append(instants[None, :, None].expand(1, -1, bank.numbers))
+    return banks.join(earliest)[0].to(torch.float32)
 
 
 def in_use(first_read: Float32[Tensor, "latent"], duration: Float32[Tensor, "batch"]) -> Bool[Tensor, "batch latent"]:
     """Mask of the numbers that motions of these durations (in units of l_max) use."""
     return first_read < duration[:, None]
+
+
+def placed(
+    relative: Float[Tensor, "*poses numbers"], path: Float[Tensor, "*poses 3"]
+) -> Float[Tensor, "*poses numbers"]:
+    """Poses relative to a path → `field` vectors in the window's frame."""
+    return _moved(_turned(relative, path[..., 2]), path, 1.0)
+
+
+def relative_to(
+    vectors: Float[Tensor, "*poses numbers"], path: Float[Tensor, "*poses 3"]
+) -> Float[Tensor, "*poses numbers"]:
+    """`field` vectors in the window's frame → poses relative to a path; the inverse of `placed`."""
+    return _turned(_moved(vectors, path, -1.0), -path[..., 2])
+
+
+def _turned(vectors: Float[Tensor, "*poses numbers"], yaw: Float[Tensor, "*poses"]) -> Float[Tensor, "*poses numbers"]:
+    """Rotate `field` vectors about the vertical by radians (positive from Z+ towards X+), root position included."""
+    cosine, sine = torch.cos(yaw)[..., None], torch.sin(yaw)[..., None]
+    x, y, z = vectors.reshape(*vectors.shape[:-1], vectors.shape[-1] // 3, 3).unbind(-1)
+    return torch.stack((cosine * x + sine * z, y, cosine * z - sine * x), dim=-1).flatten(-2)
+
+
+def _moved(
+    vectors: Float[Tensor, "*poses numbers"], path: Float[Tensor, "*poses 3"], sign: float
+) -> Float[Tensor, "*poses numbers"]:
+    x, height, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    root = torch.stack((x + sign * path[..., 0], height, z + sign * path[..., 1]), dim=-1)
+    return torch.cat((root, vectors[..., 3:]), dim=-1)
+
+
+RIDGE, HELD_TIMES = 0.02, 128
+
+
+def ridge_knots(
+    targets: Float[Tensor, "windows times width"],
+    coordinates: Float64[Tensor, "windows times"],
+    counts: Float[Tensor, "windows times"],
+    bank: Bank,
+    ridge: float = RIDGE,
+) -> Float32[Tensor, "windows knots width"]:
+    """Fit knots to targets at given coordinates by ridge regression.
+
+    `counts` weights the instants; the ridge is in units of one instant.
+    """
+    weights = bank.interpolant(coordinates.reshape(-1)).reshape(*coordinates.shape, bank.num_knots)
+    counted = (weights * counts[..., None]).transpose(1, 2)
+    gram = counted @ weights + ridge * torch.eye(bank.num_knots, dtype=torch.float64)
+    knots: Tensor = torch.linalg.solve(gram, counted @ targets.double())
+    return knots.float()
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """The linear model of local latents, on the CPU.
+
+    `directions` map standardised poses relative to the path, minus `mean`, to principal components of unit variance.
+    """
+
+    banks: LocalLatents
+    scaling: VectorScaling
+    mean: Float32[Tensor, "numbers"]
+    directions: Float32[Tensor, "numbers components"]
+
+    def fit(
+        self, coordinates: Float64[Tensor, "batch poses"], vectors: Float32[Tensor, "batch poses numbers"]
+    ) -> Float32[Tensor, "batch latent"]:
+        """Latents of windows from `field` vectors at coordinates in order of time.
+
+        The last pose is held from a window's end to t = 1, so that knots beyond the end describe a body that stands
+        still instead of being undetermined.
+        """
+        grid = torch.linspace(-1.0, 1.0, HELD_TIMES, dtype=torch.float64).expand(len(vectors), -1)
+        counts = torch.cat((torch.ones_like(coordinates), (grid > coordinates[:, -1:]).double()), dim=1)
+        vectors = torch.cat((vectors, vectors[:, -1:].expand(-1, HELD_TIMES, -1)), dim=1)
+        coordinates = torch.cat((coordinates, grid), dim=1)
+        path_knots, relative = without_path(coordinates, vectors, counts, self.banks, self.scaling)
+        components = torch.split(
+            (relative - self.mean) @ self.directions, [bank.numbers for bank in self.banks.pose], dim=-1
+        )
+        pose_knots = [
+            ridge_knots(targets, coordinates, counts, bank)
+            for targets, bank in zip(components, self.banks.pose, strict=True)
+        ]
+        return self.banks.join([*pose_knots, path_knots])
+
+    def inverse(self) -> Float32[Tensor, "components numbers"]:
+        """Maps components back to centred vectors (a pseudo-inverse)."""
+        matrix: Tensor = torch.linalg.pinv(self.directions)
+        return matrix
+
+
+def linear_model(
+    windows: Iterable[tuple[Float64[Tensor, "some times"], Float32[Tensor, "some times numbers"]]],
+    scaling: VectorScaling,
+    banks: LocalLatents,
+) -> LinearModel:
+    """The linear model of windows, given as coordinates and `field` vectors of some at a time; one pass."""
+    size = len(scaling.mean)
+    count, total, outer = 0, torch.zeros(size).double(), torch.zeros(size, size).double()
+    for coordinates, vectors in windows:
+        relative = without_path(coordinates, vectors, torch.ones_like(coordinates), banks, scaling)[1]
+        relative = relative.double().flatten(0, 1)
+        count += len(relative)
+        total, outer = total + relative.sum(0), outer + relative.T @ relative
+    mean = total / count
+    values, axes = torch.linalg.eigh(outer / count - torch.outer(mean, mean))
+    largest = torch.argsort(values, descending=True)[: banks.num_components]
+    directions = axes[:, largest] / values[largest].clamp(min=1e-12).sqrt()
+    return LinearModel(banks, scaling, mean.float(), directions.float())
+
+
+def without_path(
+    coordinates: Float64[Tensor, "batch times"],
+    vectors: Float32[Tensor, "batch times numbers"],
+    counts: Float64[Tensor, "batch times"],
+    banks: LocalLatents,
+    scaling: VectorScaling,
+) -> tuple[Float32[Tensor, "batch knots 3"], Float32[Tensor, "batch times numbers"]]:
+    """The path bank's knots, fitted to root and heading, and standardised poses relative to that path."""
+    standardised = scaling.apply(vectors)
+    x, z = standardised[..., 0].double(), standardised[..., 2].double()
+    heading = field.heading(field.decode(vectors.numpy())).astype(np.float64)
+    measured = torch.stack((x, z, torch.from_numpy(np.unwrap(heading, axis=1))), dim=-1)
+    units = banks.path_units.double()
+    knots = ridge_knots(measured / units, coordinates, counts, banks.path)
+    weights = banks.path.interpolant(coordinates.reshape(-1)).reshape(*coordinates.shape, -1)
+    path = (weights @ knots.double()) * units
+    return knots, relative_to(standardised, path.float())
+
+
+SMALLEST_DEVIATION = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class LatentSpace:
+    """The map between latents of the field and standardised numbers of the same size.
+
+    `banks` is the layout of z (None: global); `mean` and `deviation` are those of latents with their path as steps.
+    """
+
+    banks: LocalLatents | None
+    mean: Float32[Tensor, "latent"]
+    deviation: Float32[Tensor, "latent"]
+
+    def standardise(self, latents: Float32[Tensor, "batch latent"]) -> Float32[Tensor, "batch latent"]:
+        """Latents of the field → numbers of the diffusion."""
+        return (with_steps(latents, self.banks) - self.mean) / self.deviation
+
+    def restore(self, numbers: Float32[Tensor, "batch latent"]) -> Float32[Tensor, "batch latent"]:
+        """The inverse of `standardise`."""
+        latents = numbers * self.deviation + self.mean
+        if self.banks is None:
+            return latents
+        *poses, steps = self.banks.split(latents)
+        return self.banks.join([*poses, places_of(steps)])
+
+
+def with_steps(latents: Float32[Tensor, "batch latent"], banks: LocalLatents | None) -> Float32[Tensor, "batch latent"]:
+    """Latents with their path, if any, as steps between knots.
+
+    As positions, a path spreads over metres while its steps are centimetres, so the denoiser's residual noise would be
+    metres per second of sliding. As steps in the body's frame, a path is as stationary as the poses.
+    """
+    if banks is None:
+        return latents
+    *poses, places = banks.split(latents)
+    return banks.join([*poses, steps_of(places)])
+
+
+def steps_of(places: Float[Tensor, "batch knots 3"]) -> Float[Tensor, "batch knots 3"]:
+    """(x, z, heading) of each knot → (sideways, forward, turn) since the knot before; the first knot is unchanged.
+
+    A step is expressed in the heading half-way through it, so that an arc is a sequence of equal steps.
+    """
+    change = places[:, 1:] - places[:, :-1]
+    half_way = 0.5 * (places[:, 1:, 2] + places[:, :-1, 2])
+    x, z, turn = change.unbind(-1)
+    cosine, sine = torch.cos(half_way), torch.sin(half_way)
+    steps = torch.stack((cosine * x - sine * z, sine * x + cosine * z, turn), dim=-1)
+    return torch.cat((places[:, :1], steps), dim=1)
+
+
+def places_of(steps: Float[Tensor, "batch knots 3"]) -> Float[Tensor, "batch knots 3"]:
+    """The inverse of `steps_of`."""
+    heading = steps[..., 2].cumsum(dim=1)
+    half_way = heading[:, 1:] - 0.5 * steps[:, 1:, 2]
+    cosine, sine = torch.cos(half_way), torch.sin(half_way)
+    sideways, forward, _ = steps[:, 1:].unbind(-1)
+    change = torch.stack((cosine * sideways + sine * forward, cosine * forward - sine * sideways), dim=-1)
+    path = torch.cat((steps[:, :1, :2], change), dim=1).cumsum(dim=1)
+    return torch.cat((path, heading[..., None]), dim=-1)
+
+
+def kinds_of_numbers(dimension: int, banks: LocalLatents | None) -> Int64[Tensor, "latent"]:
+    """Groups of numbers of z that share a mean and a deviation, as an index per number.
+
+    A group is one component of a bank at all its knots, except the first position of a path, which is no step. Without
+    banks each number is its own group.
+    """
+    if banks is None:
+        return torch.arange(dimension)
+    kinds, first = [], 0
+    for bank in banks.banks:
+        kinds.append((first + torch.arange(bank.numbers)).repeat(1, bank.num_knots, 1))
+        first += bank.numbers
+    kinds[-1][:, 0] += NUM_PATH_NUMBERS
+    return banks.join(kinds)[0]
+
+
+def measured_space(
+    latents: Float32[Tensor, "draws latent"], used: Bool[Tensor, "draws latent"], banks: LocalLatents | None
+) -> LatentSpace:
+    """The space in which samples of latents have mean 0 and deviation 1, over the motions that use each number.
+
+    A number that no motion uses gets mean 0 and deviation 1.
+    """
+    numbers, share = with_steps(latents, banks).to(torch.float64), used.to(torch.float64)
+    kinds = kinds_of_numbers(latents.shape[1], banks)
+
+    def over_kinds(sums: Float64[Tensor, "latent"]) -> Float64[Tensor, "latent"]:
+        return torch.zeros(int(kinds.max()) + 1, dtype=torch.float64).index_add(0, kinds, sums)[kinds]
+
+    counts = over_kinds(share.sum(dim=0))
+    mean = over_kinds((numbers * share).sum(dim=0)) / counts.clamp(min=1)
+    variance = over_kinds(((numbers - mean).square() * share).sum(dim=0)) / counts.clamp(min=1)
+    deviation = torch.where(counts > 0, variance.sqrt().clamp(min=SMALLEST_DEVIATION), torch.ones_like(variance))
+    return LatentSpace(banks, mean.to(torch.float32), deviation.to(torch.float32))

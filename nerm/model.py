@@ -1,18 +1,16 @@
-"""NeRM as a generative model: requests → conditions → latents (§3.2) → motion fields (§3.1), also under constraints.
+"""Trained NeRM: the motion field f_θ(t, z, s) → pose (§3.1), the sampler of latents (§3.2), and both as one model.
 
-Constraints (docs/generation.md) are met by guided diffusion steps, then optimisation of the latent. At some steps the
-predicted clean latent is optimised to meet them, with a normal prior around the prediction whose deviation is the
-step's remaining noise (Song et al. 2024, hard data consistency). The steps that follow make it a plausible motion. At
-the end the sampled latent is optimised for longer, with a cost for sliding feet, so that footsteps carry the body to
-its targets. Costs are differentiable functions of the latent and of the motion's place in the world: yaw about +Y
-(radians), then a translation on the floor (x, z).
+Contact is an output of the field too (ours): a small network on the decoder's input gives the probabilities that ankle
+and toe of both feet are on the ground, at any t. Feet of generated motions slide from residual noise, so their paths
+say little about contacts; z still does (docs/results/trials.md).
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,26 +19,412 @@ from torch import Tensor
 from motionkit.core.errors import UsageError
 from motionkit.core.files import sha256_of
 from motionkit.core.shapes import Float, Float32, Float64
-from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError
+from motionkit.core.skeleton import Skeleton
+from motionkit.data.windows import Windows, normalise_seconds
 from motionkit.features.convention import PoseVectors
-from motionkit.features.layout import SMPL22_LAYOUT
-from motionkit.features.rotations import RotationVectors
+from motionkit.features.field import FIELD_VECTORS
 from motionkit.fields.assembly import laid
-from motionkit.fields.contact.bones import Bones, Legs, legs_of
-from motionkit.fields.contact.detection import find_contacts, ground_of
-from motionkit.fields.motion_field import DerivedField, MotionField, Poses, at_fps
-from motionkit.generate.constraints import KINDS, Constraint, ConstraintKind
+from motionkit.fields.contact.bones import Bones
+from motionkit.fields.motion_field import DerivedField, MotionField, Poses, at_fps, check_times
+from motionkit.generate.constraints import KINDS, ConstraintKind
 from motionkit.generate.models import GenerationRequest, SamplingOptions, check_constraints
-from motionkit.training.loop import resolve_device
-from motionkit.training.networks import Conditions
-from motionkit.training.run import RunError, RunFolder
+from motionkit.training.config import from_plain, to_plain
+from motionkit.training.loop import (
+    load_tensors,
+    prefixed,
+    rebuilding,
+    resolve_device,
+    save_tensors,
+    seeded_initialisation,
+    step_generator,
+    unprefixed,
+)
+from motionkit.training.networks import (
+    Adjust,
+    Conditions,
+    ConditionSizes,
+    VectorScaling,
+    cumulative_alphas,
+    guided,
+    predicted_noise,
+    sample,
+    sampling_steps,
+    vector_tensors,
+    vectors_of,
+)
+from motionkit.training.run import RunError, RunFolder, StageFolder
 from motionkit.training.text import TextEncoder, load_same_encoder
-from nerm.denoiser import TrainedDenoiser, load_denoiser, unit_rows
-from nerm.field import TrainedField, load_field
-from nerm.latents import in_use
-from nerm.network import EncodedCoordinates
-from nerm.recipes import row_name
+from nerm.constraints import JointsOf, sample_constrained
+from nerm.latents import LatentSpace, LinearModel, LocalLatents, in_use
+from nerm.network import ContactHead, Denoiser, EncodedCoordinates, FieldNetwork
+from nerm.recipes import DenoiserConfig, FieldConfig, row_name
+
+GRIDS_KEPT = 16
+POSES_AT_ONCE = 8_192
+# Context poses of a transformer decoder (docs/deviations.md).
+CONTEXT_INSTANTS = 64
+POSES_IN_CONTEXT_AT_ONCE = 1_024
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedField:
+    """f_θ with its scales and the posteriors N(μ_i, Σ_i) of all training windows.
+
+    `network` is in evaluation mode without gradients; `linear_model` is the one that initialises local latents (None
+    for the global layout); `vectors` is the pose vector convention; `contacts` is the contact head (None: not trained).
+    """
+
+    network: FieldNetwork
+    scaling: VectorScaling
+    linear_model: LinearModel | None
+    posterior_mean: Float32[Tensor, "windows latent"]
+    posterior_log_variance: Float32[Tensor, "windows latent"]
+    windows: Windows
+    store_fingerprint: str
+    vectors: PoseVectors = FIELD_VECTORS
+    contacts: ContactHead | None = None
+
+    @property
+    def config(self) -> FieldConfig:
+        """The training settings."""
+        return self.network.config
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton of decoded poses; its first 22 joints are the 22-joint layout's."""
+        return self.vectors.skeleton
+
+    @property
+    def max_duration_seconds(self) -> float:
+        """l_max: the span of [−1, 1]."""
+        return self.config.windows.max_duration_seconds
+
+    @property
+    def max_training_fps(self) -> Fraction:
+        """Highest framerate in training: the fastest window's, or that of fixed-framerate training."""
+        fixed = self.config.clips.fixed_framerate
+        return self.windows.exact_fps(int(np.argmax(self.windows.fps))) if fixed is None else fixed
+
+    @property
+    def device(self) -> torch.device:
+        """The network's device."""
+        return self.scaling.mean.device
+
+    def encode_times(self, times_seconds: Float64[np.ndarray, "batch times"], fps: Fraction) -> EncodedCoordinates:
+        """The coordinate branch at these times; recent grids are cached.
+
+        Motions of any duration share the grid of a whole window at `fps`, or at the rate of contact detection.
+        """
+        from motionkit.fields.contact.planted import GRID_FPS  # deferred: training needs no planting
+
+        rows, count = times_seconds.shape
+        for rate in (float(fps), GRID_FPS):
+            whole = np.arange(int(self.max_duration_seconds * rate + 1e-6) + 1) / rate
+            if rows == 1 and count <= len(whole) and np.abs(times_seconds[0] - whole[:count]).max(initial=0.0) < 1e-9:
+                return self._kept_grids((1, len(whole)), whole.tobytes(), fps).first(count)
+        return self._kept_grids(times_seconds.shape, np.ascontiguousarray(times_seconds).tobytes(), fps)
+
+    @cached_property
+    def _kept_grids(self) -> Callable[[tuple[int, ...], bytes, Fraction], EncodedCoordinates]:
+        network, longest, device = self.network, self.max_duration_seconds, self.device
+
+        @lru_cache(GRIDS_KEPT)
+        @torch.no_grad()
+        def encoded(shape: tuple[int, ...], content: bytes, fps: Fraction) -> EncodedCoordinates:
+            times = np.frombuffer(content).reshape(shape)
+            rates = torch.full((len(times),), float(fps), dtype=torch.float64, device=device)
+            return network.encode_coordinates(torch.from_numpy(normalise_seconds(times, longest)).to(device), rates)
+
+        return encoded
+
+    def decode_vectors(
+        self,
+        latents: Float32[Tensor, "batch latent"],
+        encoded: EncodedCoordinates,
+        fps: Fraction,
+        num_context: int = 0,
+    ) -> Float32[Tensor, "batch times numbers"]:
+        """Pose vectors in their own units at encoded times (one row of times for each latent, or one for all).
+
+        The first `num_context` are the context of a transformer decoder.
+        """
+        which = encoded.which.expand(len(latents), -1)
+        rates = torch.full((len(latents),), float(fps), dtype=torch.float64, device=self.device)
+        standardised = self.network.decode(latents, replace(encoded, which=which), rates, num_context)
+        vectors: Tensor = self.scaling.invert(standardised.float())
+        return vectors
+
+    @torch.no_grad()
+    def poses(
+        self,
+        latents: Float[Tensor, "batch latent"],
+        times_seconds: Float64[np.ndarray, "times"],
+        fps: Fraction,
+        context_seconds: Float64[np.ndarray, "context"] | None = None,
+    ) -> list[Poses]:
+        """Each latent's poses in its window's frame, metres, with rotations if the field has learnt them.
+
+        Times are seconds from the window's start; `fps` is the framerate s. At most `POSES_AT_ONCE` poses are decoded
+        at once, to bound memory. A transformer decoder's poses depend on the others decoded with them; with
+        `context_seconds`, only on those at these instants.
+        """
+        instants = self.vectors.instants(times_seconds)
+        context = np.zeros(0) if context_seconds is None else context_seconds
+        at_once = POSES_IN_CONTEXT_AT_ONCE if len(context) else POSES_AT_ONCE
+        vectors = np.empty((len(latents), len(instants), self.vectors.num_features), dtype=np.float32)
+        per_call = max(1, POSES_AT_ONCE // max(1, len(instants)))
+        for start in range(0, len(latents), per_call):
+            some = latents[start : start + per_call].float().to(self.device)
+            for first in range(0, len(instants), at_once):
+                times = slice(first, first + at_once)
+                encoded = self.encode_times(np.concatenate((context, instants[times]))[None], fps)
+                decoded = self.decode_vectors(some, encoded, fps, len(context))
+                vectors[start : start + per_call, times] = decoded[:, len(context) :].cpu().numpy()
+        return [self.vectors.decode(each, instants, times_seconds) for each in vectors]
+
+    def joints_at(self, times_seconds: Float64[np.ndarray, "times"]) -> JointsOf:
+        """Latent → joints at these times, a differentiable function; for a field of `field` vectors."""
+        encoded = self.encode_times(times_seconds[None], self.max_training_fps)
+
+        def joints(latent: Float32[Tensor, "latent"]) -> Float32[Tensor, "times joints 3"]:
+            vectors = self.decode_vectors(latent[None].to(self.device), encoded, self.max_training_fps)[0]
+            offsets = vectors.reshape(len(vectors), -1, 3)
+            return torch.cat((offsets[:, :1], offsets[:, 1:] + offsets[:, :1]), dim=1).to("cpu")
+
+        return joints
+
+    def as_motion_field(
+        self, latent: Float[Tensor, "latent"], duration_seconds: float, fps: Fraction | None = None
+    ) -> "LatentMotionField":
+        """One latent's motion on [0, duration], at the framerate s = `fps` (default: the highest in training)."""
+        return LatentMotionField(self, latent, duration_seconds, fps or self.max_training_fps)
+
+
+@dataclass(frozen=True, eq=False)
+class LatentMotionField:
+    """A `motionkit.fields.motion_field.MotionField`: f_θ for one fixed z and s."""
+
+    field: TrainedField
+    latent: Float[Tensor, "latent"]
+    end_seconds: float
+    fps: Fraction
+    start_seconds: float = 0.0
+
+    @property
+    def skeleton(self) -> Skeleton:
+        """The skeleton of the poses: the 22-joint layout, or the rig of learnt rotations."""
+        return self.field.skeleton
+
+    def at_fps(self, fps: Fraction) -> "LatentMotionField":
+        """The same motion (the same z) at another framerate s."""
+        return replace(self, fps=fps)
+
+    def query(self, times_seconds: Float64[np.ndarray, "times"]) -> Poses:
+        """Poses at any times in [0, end_seconds], each independent of the others; raises `ValueError` outside it."""
+        check_times(self, times_seconds)
+        context = None
+        if self.field.config.decoder.kind == "transformer":
+            context = np.linspace(0.0, self.end_seconds, CONTEXT_INSTANTS)
+        return self.field.poses(self.latent[None], times_seconds, self.fps, context)[0]
+
+    @torch.no_grad()
+    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
+        """Contact probabilities of ankle and toe of left and right foot; None without a contact head."""
+        check_times(self, times_seconds)
+        field = self.field
+        if field.contacts is None:
+            return None
+        encoded = field.encode_times(times_seconds[None], self.fps)
+        logits = field.contacts(field.network.read(self.latent[None].float().to(field.device), encoded))
+        return np.asarray(torch.sigmoid(logits)[0].cpu().numpy().reshape(-1, 2, 2))
+
+
+def save_field(folder: StageFolder, trained: TrainedField) -> None:
+    """Write model.safetensors: network, scales, posteriors and the window table, with the settings in its header."""
+    tensors = (
+        prefixed("network", trained.network.state_dict())
+        | prefixed("scaling", {"mean": trained.scaling.mean, "scale": trained.scaling.scale})
+        | prefixed("posterior", {"mean": trained.posterior_mean, "log_variance": trained.posterior_log_variance})
+        | vector_tensors(trained.vectors)
+        | prefixed("windows", {name: torch.from_numpy(array) for name, array in trained.windows.arrays().items()})
+    )
+    if trained.contacts is not None:
+        tensors |= prefixed("contacts", trained.contacts.state_dict())
+    if (linear := trained.linear_model) is not None:
+        tensors |= prefixed("components", {"mean": linear.mean, "directions": linear.directions})
+    description = {"config": to_plain(trained.config), "store_fingerprint": trained.store_fingerprint}
+    save_tensors(folder.model_path, tensors, description)
+
+
+def load_field(run: RunFolder | Path, device: str | torch.device = "cpu") -> TrainedField:
+    """Load a run's trained field; raises `CheckpointError` if it is missing or another model's."""
+    folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage("field")
+    if not folder.model_path.is_file():
+        folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    where = resolve_device(str(device))
+    with rebuilding(folder.model_path, "field"):
+        config = from_plain(FieldConfig, description["config"])
+        scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
+        network = FieldNetwork(config, len(scaling.mean), tensors.get("network.attention.codebook"))
+        network.load_state_dict(unprefixed("network", tensors))
+        linear, contacts = None, None
+        if network.local is not None:
+            components = tensors["components.mean"], tensors["components.directions"]
+            linear = LinearModel(network.local, scaling, *components)
+        if of_contacts := unprefixed("contacts", tensors):
+            contacts = ContactHead(network.num_read)
+            contacts.load_state_dict(of_contacts)
+            contacts.to(where).eval().requires_grad_(False)
+        arrays = {name: tensor.numpy() for name, tensor in unprefixed("windows", tensors).items()}
+        return TrainedField(
+            network=network.to(where).eval().requires_grad_(False),
+            scaling=scaling.to(where),
+            linear_model=linear,
+            posterior_mean=tensors["posterior.mean"],
+            posterior_log_variance=tensors["posterior.log_variance"],
+            windows=Windows(config.windows.max_duration_seconds, **arrays),
+            store_fingerprint=str(description["store_fingerprint"]),
+            vectors=vectors_of(config.pose_vectors, tensors),
+            contacts=contacts,
+        )
+
+
+SAMPLES_PER_BATCH = 256
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedDenoiser:
+    """ε_φ with everything needed to sample latents.
+
+    `denoiser` holds the averaged weights; `space` is its latent space; `durations` are those of the training windows in
+    units of l_max; `text_encoder` and `text_fingerprint` identify the encoder it was trained with (empty without
+    texts), and `field_sha256` the field whose latents it generates.
+    """
+
+    config: DenoiserConfig
+    denoiser: Denoiser
+    space: LatentSpace
+    layout: ConditionSizes
+    durations: Float32[Tensor, "windows"]
+    text_encoder: str
+    text_fingerprint: str
+    field_sha256: str
+
+    def sample(
+        self,
+        conditions: Conditions,
+        *,
+        seed: int,
+        sampling: SamplingOptions = SamplingOptions(),
+        first: int = 0,
+        adjust: Adjust | None = None,
+    ) -> Float32[Tensor, "batch latent"]:
+        """One latent of the field per row of `conditions`; `adjust` may change each step's prediction.
+
+        Row i depends on (seed, `first` + i) alone, not on the other rows (up to rounding of batched sums). Numbers that
+        a motion of the row's duration does not use are the training mean.
+        """
+        config = self.with_sampling(sampling)
+        generators = [step_generator(seed, "generate", first + row) for row in range(len(conditions.action))]
+        batches = [slice(start, start + SAMPLES_PER_BATCH) for start in range(0, len(generators), SAMPLES_PER_BATCH)]
+        latents = torch.cat(
+            [self._sample_batch(config, conditions.rows(rows), generators[rows], adjust) for rows in batches]
+        )
+        if not torch.isfinite(latents).all():
+            scale = config.diffusion.guidance_scale
+            raise UsageError(f"sampling diverged: a guidance scale of {scale:g} is too large")
+        return latents
+
+    def with_sampling(self, sampling: SamplingOptions) -> DenoiserConfig:
+        """The configuration with these sampling options; raises `UsageError` for unsupported ones."""
+        diffusion = self.config.diffusion.adjusted(sampling.sampler, sampling.steps, sampling.guidance_scale)
+        return replace(self.config, diffusion=diffusion)
+
+    @torch.no_grad()
+    def _sample_batch(
+        self,
+        config: DenoiserConfig,
+        conditions: Conditions,
+        generators: Sequence[torch.Generator],
+        adjust: Adjust | None,
+    ) -> Float32[Tensor, "batch latent"]:
+        def draw_noise() -> Float64[Tensor, "batch latent"]:
+            drawn = [torch.randn(len(self.space.mean), generator=g, dtype=torch.float64) for g in generators]
+            return torch.stack(drawn)
+
+        device = self.denoiser.positions.device
+        diffusion = config.diffusion
+        scale = conditions.guidance(diffusion.guidance_scale)
+        on_device, nothing = conditions.to(device), conditions.unconditional().to(device)
+        alphas, steps = cumulative_alphas(diffusion), sampling_steps(diffusion)
+
+        def predict_noise(latents: Tensor, steps: Tensor) -> Tensor:
+            noisy = latents.to(device, torch.float32)
+            output = guided(self.denoiser, noisy, steps.to(device), on_device, nothing, scale)
+            alpha = float(alphas[int(steps[0])])
+            return predicted_noise(diffusion.prediction, output.to("cpu", torch.float64), latents, alpha)
+
+        fresh = draw_noise if diffusion.sampler == "ddpm" else None
+        latents = sample(predict_noise, draw_noise(), alphas, steps, draw_noise=fresh, adjust=adjust)
+        return self.space.restore(latents.to(torch.float32) * self.used(conditions))
+
+    def used(self, conditions: Conditions) -> Tensor:
+        """Mask [batch, latent] of the numbers that motions of these durations use."""
+        return in_use(self.denoiser.first_read.to("cpu"), conditions.duration)
+
+    def draw_durations(self, count: int, *, seed: int, first: int = 0) -> Float32[Tensor, "count"]:
+        """Sample durations of training windows, in units of l_max; number i depends on (seed, first + i) alone."""
+        generators = [step_generator(seed, "duration", first + i) for i in range(count)]
+        rows = [torch.randint(len(self.durations), (), generator=generator) for generator in generators]
+        return self.durations[torch.stack(rows)] if rows else self.durations[:0]
+
+
+def save_denoiser(folder: StageFolder, trained: TrainedDenoiser) -> None:
+    """Write RUN/denoiser/model.safetensors."""
+    tensors = prefixed("denoiser", trained.denoiser.state_dict()) | {
+        "latent_mean": trained.space.mean,
+        "latent_deviation": trained.space.deviation,
+        "durations": trained.durations,
+    }
+    description: dict[str, Any] = {
+        "config": to_plain(trained.config),
+        "banks": None if trained.space.banks is None else to_plain(trained.space.banks),
+        "text_dimension": trained.layout.text_dimension,
+        "actions": list(trained.layout.actions),
+        "text_encoder": trained.text_encoder,
+        "text_fingerprint": trained.text_fingerprint,
+        "field_sha256": trained.field_sha256,
+    }
+    save_tensors(folder.model_path, tensors, description)
+
+
+def load_denoiser(run: RunFolder, device: str | torch.device = "cpu") -> TrainedDenoiser:
+    """Read RUN/denoiser/model.safetensors; the network goes to `device`.
+
+    Raises `RunError` if the stage was not trained to its end, `CheckpointError` for a damaged file.
+    """
+    folder = run.stage("denoiser")
+    folder.read_summary()
+    tensors, description = load_tensors(folder.model_path)
+    with rebuilding(folder.model_path, "denoiser"):
+        config = from_plain(DenoiserConfig, description["config"])
+        layout = ConditionSizes(int(description["text_dimension"]), tuple(description["actions"]))
+        banks = None if description["banks"] is None else from_plain(LocalLatents, description["banks"])
+        with seeded_initialisation(0, "denoiser"):
+            denoiser = Denoiser(config.network, tensors["denoiser.first_read"], layout)
+        denoiser.load_state_dict(unprefixed("denoiser", tensors))
+        return TrainedDenoiser(
+            config=config,
+            denoiser=denoiser.to(device).eval().requires_grad_(False),
+            space=LatentSpace(banks, tensors["latent_mean"], tensors["latent_deviation"]),
+            layout=layout,
+            durations=tensors["durations"],
+            text_encoder=str(description["text_encoder"]),
+            text_fingerprint=str(description["text_fingerprint"]),
+            field_sha256=str(description["field_sha256"]),
+        )
+
 
 BONE_SAMPLES = 200
 NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
@@ -69,6 +453,12 @@ class NermModel:
         """l_max: the longest motion that one latent describes."""
         return self.field.max_duration_seconds
 
+    @property
+    def constraint_kinds(self) -> frozenset[ConstraintKind]:
+        """All kinds if joints are a differentiable function of z at each instant (`field` vectors, MLP); else none."""
+        config = self.field.config
+        return KINDS if config.pose_vectors == "field" and config.decoder.kind == "mlp" else frozenset()
+
     @cached_property
     def text_encoder(self) -> TextEncoder:
         """The encoder it was trained with, loaded on first use.
@@ -89,8 +479,7 @@ class NermModel:
     ) -> list[MotionField]:
         """One field per request, in order; field i depends on (seed, `first` + i) and request i alone.
 
-        Raises `UsageError` for a duration outside (0, l_max], an unknown action, a text without an action if it was
-        trained without texts, unsupported sampling options, or constraints that it cannot follow.
+        Raises `UsageError` for what `check` refuses.
         """
         if not requests:
             return []
@@ -115,31 +504,29 @@ class NermModel:
         motions: list[MotionField] = []
         for row, request in enumerate(requests):
             own = conditions.rows(slice(row, row + 1))
+            draw = partial(self.denoiser.sample, own, seed=seed, sampling=sampling, first=first + row)
             if not request.constraints:
-                latent = self.denoiser.sample(own, seed=seed, sampling=sampling, first=first + row)[0]
-                motions.append(self.field.as_motion_field(latent, durations[row]))
+                motions.append(self.field.as_motion_field(draw()[0], durations[row]))
                 continue
-            held = sample_constrained(
-                *(self.denoiser, self.field, own, request.constraints),
-                seed=seed,
-                number=first + row,
-                sampling=sampling,
+            latent, place, bones = sample_constrained(
+                request.constraints,
+                float(own.duration[0]) * self.max_duration_seconds,
+                sample=draw,
+                num_steps=self.denoiser.with_sampling(sampling).diffusion.sampling_steps,
+                space=self.denoiser.space,
+                used=self.denoiser.used(own)[0],
+                joints_at=self.field.joints_at,
             )
-            motion: MotionField = self.field.as_motion_field(held.latent, durations[row])
-            if held.bones is not None:
-                motion = _with_lengths(motion, held.bones.numpy())
-            yaw, x, z = held.place.tolist()
+            motion: MotionField = self.field.as_motion_field(latent, durations[row])
+            if bones is not None:
+                motion = _with_lengths(motion, bones.numpy())
+            yaw, x, z = place.tolist()
             motions.append(laid(motion, yaw, (x, z)))
         return motions
 
-    @property
-    def constraint_kinds(self) -> frozenset[ConstraintKind]:
-        """All kinds if the field's joints are a differentiable function of the latent at each instant; else none."""
-        return KINDS if self.field.has_joints else frozenset()
-
     def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
-        """Raise `UsageError` for a duration outside (0, l_max], an unknown action, a text if it was trained without
-        texts, or unsupported sampling options."""
+        """Raise `UsageError` for a duration outside (0, l_max], an unknown action, a text (without an action) if it
+        was trained without texts, constraints that it cannot follow, or unsupported sampling options."""
         self.denoiser.with_sampling(sampling)
         check_constraints(self, request)
         seconds = request.duration_seconds
@@ -168,14 +555,19 @@ class NermModel:
         return rows
 
 
+def unit_rows(embeddings: Float32[np.ndarray, "texts dimension"]) -> Float32[np.ndarray, "texts dimension"]:
+    """Embeddings scaled to length 1; rows of zeros stay zeros."""
+    lengths = np.linalg.norm(embeddings, axis=1, keepdims=True)
+    return np.asarray(embeddings / np.where(lengths > 0, lengths, 1.0), dtype=np.float32)
+
+
 def load(run: Path) -> NermModel:
     """Load a run's field and denoiser, onto a GPU if there is one.
 
     Raises `RunError` if a stage is missing, or if the field was trained again after the denoiser.
     """
-    folder = RunFolder(run)
-    device = resolve_device("auto")
-    denoiser, field = load_denoiser(folder, device), load_field(folder, str(device))
+    folder, device = RunFolder(run), resolve_device("auto")
+    denoiser, field = load_denoiser(folder, device), load_field(folder, device)
     field_path = folder.stage("field").model_path
     if sha256_of(field_path) != denoiser.field_sha256:
         raise RunError(
@@ -185,334 +577,19 @@ def load(run: Path) -> NermModel:
     return NermModel(field, denoiser, row_name(folder, field.config, denoiser.config))
 
 
-def _with_lengths(field: MotionField, lengths: Float[np.ndarray, "bones"]) -> MotionField:
-    """A motion with these bone lengths, metres, from the second joint on.
-
-    Unchanged if it has rotations: its bones are then its skeleton's.
-    """
-    poses = field.query(np.linspace(field.start_seconds, field.end_seconds, BONE_SAMPLES))
-    if poses.local_rotations is not None:
-        return field
-    bones = Bones.of(poses.joint_positions, field.skeleton)
+def _with_lengths(motion: MotionField, lengths: Float[np.ndarray, "bones"]) -> DerivedField:
+    """A motion with these bone lengths, metres, from the second joint on."""
+    poses = motion.query(np.linspace(motion.start_seconds, motion.end_seconds, BONE_SAMPLES))
+    bones = Bones.of(poses.joint_positions, motion.skeleton)
     own = np.linalg.norm(bones.offsets[1:], axis=-1, keepdims=True)
     offsets = bones.offsets.copy()
     offsets[1:] *= np.where(own > 0, lengths[:, None] / np.where(own > 0, own, 1.0), 1.0)
-    return _on_bones(field, replace(bones, offsets=offsets))
+    return _on_bones(motion, replace(bones, offsets=offsets))
 
 
-def _on_bones(field: MotionField, bones: Bones) -> DerivedField:
+def _on_bones(motion: MotionField, bones: Bones) -> DerivedField:
     def on_bones(times: Float64[np.ndarray, "times"]) -> Poses:
-        poses = field.query(times)
+        poses = motion.query(times)
         return Poses(bones.applied(poses.joint_positions), None, poses.root_translation)
 
-    return DerivedField(field, on_bones, lambda fps: _on_bones(at_fps(field, fps), bones))
-
-
-# Metres of position error that cost as much as a radian of heading error.
-TURN_METRES = 0.3
-INSTANTS_PER_SECOND = 60.0
-# Speed of a foot in contact, m/s, and independent samples per second; deviation of bone lengths, m.
-FEET_DEVIATION, SAMPLES_PER_SECOND = 0.1, 3.0
-BONE_DEVIATION, MEDIAN_SAMPLES = 0.003, 100
-
-
-JointsOf = Callable[[Float32[Tensor, "latent"]], Float32[Tensor, "instants joints 3"]]
-"""Latent → joints of its motion at fixed instants, metres, in the window's frame."""
-
-
-@dataclass(frozen=True, eq=False)
-class JointsAt:
-    """The joints of a latent's motion at fixed instants, in the window's frame."""
-
-    field: TrainedField
-    seconds: Float64[np.ndarray, "instants"]
-
-    @cached_property
-    def _encoded(self) -> EncodedCoordinates:
-        return self.field.encode_times(self.seconds[None], self.field.max_training_fps)
-
-    def __call__(self, latent: Float32[Tensor, "latent"]) -> Float32[Tensor, "instants joints 3"]:
-        """Metres, on the CPU."""
-        trained = self.field
-        fps = torch.full((1,), float(trained.max_training_fps), dtype=torch.float64, device=trained.device)
-        standardised = trained.network.decode(latent[None].to(trained.device), self._encoded, fps)[0]
-        return joints_of(trained.scaling.invert(standardised.float()), trained.vectors).to("cpu")
-
-
-@dataclass(frozen=True, eq=False)
-class ConstraintCost:
-    """The cost of constraints: squared position and heading errors in units of their deviations."""
-
-    joints: JointsOf
-    constraints: tuple[Constraint, ...]
-
-    @property
-    def places_motion(self) -> bool:
-        """Whether the constraints determine the motion's place in the world; else it stays in its window's frame."""
-        return any(each.places_motion for each in self.constraints)
-
-    def cost(
-        self,
-        latent: Float32[Tensor, "latent"],
-        place: Float32[Tensor, "3"],
-        bones: Float32[Tensor, "bones"] | None = None,
-    ) -> Float32[Tensor, ""]:
-        """The sum over constraints, instants and joints; with `bones` also of the poses' bone-length errors."""
-        total = latent.new_zeros(())
-        for joints, target in zip(self._each(self.joints(latent)), self._targets, strict=True):
-            ahead = _facing(joints)
-            if target.constraint.frame == "world":
-                here = _turned(joints, torch.cos(place[0]), torch.sin(place[0]))
-                here = here + torch.stack((place[1], torch.zeros_like(place[1]), place[2]))
-            else:
-                under_root = joints[:, :1] * joints.new_tensor([1.0, 0.0, 1.0])
-                here = _turned(joints - under_root, ahead[:, 1:], -ahead[:, :1])
-            if bones is not None and target.constraint.kind != "path":
-                total = total + 0.5 * (_bones(joints) - bones).square().sum() / BONE_DEVIATION**2
-            apart = torch.where(target.known, here[:, target.constraint.joint_indices] - target.positions, 0.0)
-            # The chord of the angle is continuous at half a turn, unlike the angle.
-            yaw = torch.atan2(ahead[:, 0], ahead[:, 1]) + place[0] - target.heading
-            turned = torch.where(target.faces, 2.0 * torch.sin(0.5 * yaw), 0.0)
-            squares = apart.square().sum() + TURN_METRES**2 * turned.square().sum()
-            total = total + 0.5 * squares / target.constraint.deviation**2
-        return total
-
-    @torch.no_grad()
-    def place(self, latent: Float32[Tensor, "latent"]) -> Float32[Tensor, "3"]:
-        """The place in the world that best meets the constraints (least squares, ignoring headings)."""
-        if not self.places_motion:
-            return torch.zeros(3)
-        mine, given = [], []
-        for joints, target in zip(self._each(self.joints(latent)), self._targets, strict=True):
-            if target.constraint.places_motion:
-                horizontal = target.known[..., 0] & target.known[..., 2]
-                mine.append(joints[:, target.constraint.joint_indices][horizontal][:, [0, 2]])
-                given.append(target.positions[horizontal][:, [0, 2]])
-        a, b = torch.cat(mine), torch.cat(given)
-        a_mean, b_mean = a.mean(dim=0), b.mean(dim=0)
-        (ax, az), (bx, bz) = (a - a_mean).T, (b - b_mean).T
-        yaw = torch.atan2((bx * az - bz * ax).sum(), (bx * ax + bz * az).sum())
-        cosine, sine = torch.cos(yaw), torch.sin(yaw)
-        turned = torch.stack((cosine * a_mean[0] + sine * a_mean[1], cosine * a_mean[1] - sine * a_mean[0]))
-        return torch.cat((yaw[None], b_mean - turned))
-
-    @cached_property
-    def bones(self) -> Float32[Tensor, "bones"] | None:
-        """Mean bone lengths of the full-pose constraints; None without any."""
-        whole = [each.positions for each in self._targets if each.constraint.joints == SMPL22.joint_names]
-        return _bones(torch.cat(whole)).mean(dim=0) if whole else None
-
-    def _each(self, joints: Float32[Tensor, "instants joints 3"]) -> Sequence[Float32[Tensor, "own joints 3"]]:
-        return torch.split(joints[:, : SMPL22.num_joints], [len(each.seconds) for each in self.constraints])
-
-    @cached_property
-    def _targets(self) -> list["_Target"]:
-        return [_Target.of(each) for each in self.constraints]
-
-
-@dataclass(frozen=True, eq=False)
-class _Target:
-    """A constraint as tensors, zeros where it is free."""
-
-    constraint: Constraint
-    positions: Float32[Tensor, "instants joints 3"]
-    known: Tensor
-    heading: Float32[Tensor, "instants"]
-    faces: Tensor
-
-    @classmethod
-    def of(cls, constraint: Constraint) -> "_Target":
-        positions, heading = (torch.from_numpy(each).float() for each in (constraint.positions, constraint.heading))
-        known, faces = ~positions.isnan(), ~heading.isnan()
-        return cls(constraint, positions.nan_to_num(0.0), known, heading.nan_to_num(0.0), faces)
-
-
-@dataclass(frozen=True, eq=False)
-class FootSliding:
-    """The cost of feet that slide while in contact.
-
-    Contacts are detected in one motion (`with_contacts_of`) and assumed for those near it. This makes the gait agree
-    with a given path.
-    """
-
-    joints: JointsOf
-    legs: Legs
-    contact: Float32[Tensor, "steps feet 1"]
-
-    @torch.no_grad()
-    def with_contacts_of(self, latent: Float32[Tensor, "latent"]) -> "FootSliding":
-        """The same, with the contacts of a latent's motion."""
-        paths = self.legs.foot_paths(self.joints(latent).numpy()).astype(np.float64)
-        contacts = find_contacts(paths, INSTANTS_PER_SECOND, ground_of(paths, INSTANTS_PER_SECOND))
-        hold = np.minimum(contacts.hold[1:], contacts.hold[:-1])[..., None]
-        return replace(self, contact=torch.from_numpy(hold).float())
-
-    def cost(self, latent: Float32[Tensor, "latent"]) -> Float32[Tensor, ""]:
-        """Squared horizontal speeds of ankles and toes in contact, in units of `FEET_DEVIATION`."""
-        joints = self.joints(latent)
-        paths = joints[:, list(self.legs.feet)].reshape(len(joints), 2, 2, 3)
-        velocity = (paths[1:] - paths[:-1]) * INSTANTS_PER_SECOND
-        squares = self.contact * (velocity[..., 0].square() + velocity[..., 2].square())
-        total: Tensor = 0.5 * SAMPLES_PER_SECOND / INSTANTS_PER_SECOND * squares.sum() / FEET_DEVIATION**2
-        return total
-
-
-def foot_sliding(trained: TrainedField, duration_seconds: float) -> FootSliding | None:
-    """The cost for motions of this duration; None for a skeleton without known legs, or a single frame."""
-    count = int(duration_seconds * INSTANTS_PER_SECOND) + 1
-    try:
-        legs = legs_of(trained.skeleton)
-    except SkeletonMapError:
-        return None
-    joints = JointsAt(trained, np.arange(count) / INSTANTS_PER_SECOND)
-    return FootSliding(joints, legs, torch.zeros(0, 2, 1)) if count > 2 else None
-
-
-@torch.no_grad()
-def median_bones(trained: TrainedField, latent: Float32[Tensor, "latent"], seconds: float) -> Float32[Tensor, "bones"]:
-    """Median bone lengths over a motion."""
-    joints = JointsAt(trained, np.linspace(0.0, seconds, MEDIAN_SAMPLES))(latent)
-    return _bones(joints[:, : SMPL22.num_joints]).median(dim=0).values
-
-
-def _bones(joints: Float32[Tensor, "instants joints 3"]) -> Float32[Tensor, "instants bones"]:
-    lengths: Tensor = torch.linalg.vector_norm(joints[:, 1:] - joints[:, list(SMPL22.parents[1:])], dim=-1)
-    return lengths
-
-
-def _facing(joints: Float[Tensor, "poses joints 3"]) -> Float[Tensor, "poses 2"]:
-    """Facing directions as unit vectors (x, z), as in `motionkit.features.field.heading`."""
-    names = SMPL22_LAYOUT.facing
-    across = joints[:, names.right_hip] - joints[:, names.left_hip]
-    across = across + joints[:, names.right_shoulder] - joints[:, names.left_shoulder]
-    return torch.nn.functional.normalize(torch.stack((across[:, 2], -across[:, 0]), dim=-1), dim=-1)
-
-
-def _turned(
-    joints: Float[Tensor, "poses joints 3"], cosine: Float[Tensor, "*turns"], sine: Float[Tensor, "*turns"]
-) -> Float[Tensor, "poses joints 3"]:
-    x, y, z = joints.unbind(-1)
-    return torch.stack((cosine * x + sine * z, y, cosine * z - sine * x), dim=-1)
-
-
-GUIDED_STEPS, GUIDED_ITERATIONS = 10, 6
-# Contacts change with the motion: they are detected anew in each round.
-ROUNDS, ITERATIONS = 3, 20
-PLACE_UNIT, PLACE_PRIOR = 0.3, 1e-4
-
-Solution = tuple[Float32[Tensor, "latent"], Float32[Tensor, "3"]]
-"""Standardised numbers of a latent, and its place in the world."""
-
-
-@dataclass(frozen=True, eq=False)
-class ConstrainedLatent:
-    """A latent whose motion meets its constraints when placed at `place`: yaw (radians), then x and z (metres).
-
-    `bones` are the fixed bone lengths in metres, where joints are constrained.
-    """
-
-    latent: Float32[Tensor, "latent"]
-    place: Float32[Tensor, "3"]
-    bones: Float32[Tensor, "bones"] | None
-
-
-def sample_constrained(
-    trained: TrainedDenoiser,
-    field: TrainedField,
-    conditions: Conditions,
-    constraints: tuple[Constraint, ...],
-    *,
-    seed: int,
-    number: int,
-    sampling: SamplingOptions = SamplingOptions(),
-) -> ConstrainedLatent:
-    """Sample the latent of one row of conditions under constraints; deterministic in (seed, number)."""
-    used = in_use(trained.denoiser.first_read.to("cpu"), conditions.duration.to("cpu"))[0]
-    seconds = float(conditions.duration[0]) * field.max_duration_seconds
-
-    def latent_of(numbers: Float32[Tensor, "latent"]) -> Float32[Tensor, "latent"]:
-        return trained.space.restore((numbers * used)[None])[0]
-
-    joints = JointsAt(field, np.concatenate([each.seconds for each in constraints]))
-    goal = ConstraintCost(joints, constraints)
-    every = max(1, trained.with_sampling(sampling).diffusion.sampling_steps // GUIDED_STEPS)
-
-    def adjust(clean: Float64[Tensor, "1 latent"], index: int, alpha: float) -> Float64[Tensor, "1 latent"]:
-        if index % every:
-            return clean
-        # Given √ᾱ z + √(1 − ᾱ) ε, a number of variance 1 has the posterior variance 1 − ᾱ.
-        search = Search(clean[0].float(), (1.0 - alpha) ** 0.5, latent_of, goal)
-        return search.run(GUIDED_ITERATIONS)[0].to(torch.float64)[None]
-
-    latents = trained.sample(conditions, seed=seed, sampling=sampling, first=number, adjust=adjust)
-    search, feet = Search(trained.space.standardise(latents)[0], 1.0, latent_of, goal), foot_sliding(field, seconds)
-    numbers, place = search.drawn, goal.place(latents[0])
-    for _ in range(ROUNDS):
-        latent = latent_of(numbers)
-        bones = median_bones(field, latent, seconds)
-        if goal.bones is not None and field.skeleton == SMPL22:
-            bones = goal.bones
-        current = None if feet is None else feet.with_contacts_of(latent)
-        numbers, place = replace(search, feet=current, bones=bones).run(ITERATIONS, (numbers, place))
-    keeps_bones = field.skeleton == SMPL22 and any(each.kind != "path" for each in constraints)
-    return ConstrainedLatent(latent_of(numbers), place, bones if keeps_bones else None)
-
-
-@dataclass(frozen=True, eq=False)
-class Search:
-    """L-BFGS over the numbers of a latent and its place in the world.
-
-    The cost is ½‖(n − n₀) / σ‖² with the numbers `drawn` and their `deviation`, plus `goal` (with poses of these
-    `bones`), plus `feet`.
-    """
-
-    drawn: Float32[Tensor, "latent"]
-    deviation: float
-    latent_of: Callable[[Float32[Tensor, "latent"]], Float32[Tensor, "latent"]]
-    goal: ConstraintCost
-    feet: FootSliding | None = None
-    bones: Float32[Tensor, "bones"] | None = None
-
-    def run(self, iterations: int, start: Solution | None = None) -> Solution:
-        """Numbers and place after `iterations` from `start` (default: those drawn)."""
-        numbers, place = start or (self.drawn, self.goal.place(self.latent_of(self.drawn)))
-        moved = torch.cat(((numbers - self.drawn) / self.deviation, torch.zeros(3))).requires_grad_()
-        steps = torch.optim.LBFGS([moved], max_iter=iterations, history_size=10, line_search_fn="strong_wolfe")
-
-        def read() -> Solution:
-            return self.drawn + self.deviation * moved[:-3], place + PLACE_UNIT * self.goal.places_motion * moved[-3:]
-
-        def objective() -> float:
-            steps.zero_grad()
-            numbers, place = read()
-            latent = self.latent_of(numbers)
-            cost = 0.5 * moved[:-3].square().sum() + PLACE_PRIOR * moved[-3:].square().sum()
-            cost = cost + self.goal.cost(latent, place, self.bones)
-            if self.feet is not None:
-                cost = cost + self.feet.cost(latent)
-            torch.autograd.backward(cost)
-            return float(cost.detach())
-
-        with torch.enable_grad():
-            steps.step(objective)  # type: ignore[no-untyped-call]
-        with torch.no_grad():
-            return read()
-
-
-def joints_of(numbers: Float[Tensor, "poses features"], vectors: PoseVectors) -> Float[Tensor, "poses joints 3"]:
-    """Joint positions in the window's frame, metres, of vectors in their own units; differentiable."""
-    if not isinstance(vectors, RotationVectors):
-        joints = numbers.reshape(len(numbers), -1, 3)
-        return torch.cat((joints[:, :1], joints[:, 1:] + joints[:, :1]), dim=1)
-    pairs = numbers[:, 3:].reshape(len(numbers), -1, 2, 3)
-    first = torch.nn.functional.normalize(pairs[..., 0, :], dim=-1)
-    second = pairs[..., 1, :]
-    second = torch.nn.functional.normalize(second - (first * second).sum(-1, keepdim=True) * first, dim=-1)
-    local = torch.stack((first, second, torch.linalg.cross(first, second)), dim=-1)
-    offsets = torch.as_tensor(vectors.skeleton.offsets, device=numbers.device)
-    world, places = [local[:, 0]], [numbers[:, :3] + offsets[0]]
-    for joint, parent in enumerate(vectors.skeleton.parents):
-        if parent >= 0:
-            world.append(world[parent] @ local[:, joint])
-            places.append(places[parent] + world[parent] @ offsets[joint])
-    return torch.stack(places, dim=1)
+    return DerivedField(motion, on_bones, lambda fps: _on_bones(at_fps(motion, fps), bones))

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64, Shaped
+from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.training.networks import Conditions, ConditionSizes, through_long_skips
-from nerm.latents import KnotWeights, Reading, in_use, local_latents, placed
-from nerm.recipes import Activation, FieldConfig, TransformerConfig
+from nerm.latents import in_use, local_latents, placed
+from nerm.recipes import Activation, EncoderConfig, FieldConfig, TransformerConfig
 
 REFERENCE_FPS = 20.0
 
@@ -90,20 +90,19 @@ class AttentionBlock(nn.Module):
 class CodebookCoordinateAttention(nn.Module):
     """CCA: γ(t) → γ(t) + attention over the prototypes (§3.1, Fig. 6; appendix D).
 
-    `codebook` [N, d] is a buffer: it is frozen and travels with the weights. `width` must equal that of γ(t).
+    `codebook` [N, d] is a buffer: it is frozen and travels with the weights.
     """
 
     codebook: Tensor
 
-    def __init__(
-        self, codebook: Float[Tensor, "codes dimension"], *, width: int, num_queries: int, heads: int, layers: int
-    ) -> None:
+    def __init__(self, codebook: Float[Tensor, "codes dimension"], config: EncoderConfig) -> None:
         super().__init__()
+        width, heads = 2 * config.num_frequencies, config.num_heads
         self.register_buffer("codebook", codebook.clone())
         self.project_codes = nn.Linear(codebook.shape[1], width)
-        self.query_embeddings = nn.Parameter(torch.randn(num_queries, width) * width**-0.5)
+        self.query_embeddings = nn.Parameter(torch.randn(config.num_queries, width) * width**-0.5)
         self.to_codebook = AttentionBlock(width, heads)
-        self.refine = nn.ModuleList(AttentionBlock(width, heads) for _ in range(layers))
+        self.refine = nn.ModuleList(AttentionBlock(width, heads) for _ in range(config.num_layers))
         self.to_prototypes = AttentionBlock(width, heads)
 
     def prototypes(self) -> Float[Tensor, "queries width"]:
@@ -126,18 +125,17 @@ ACTIVATIONS: dict[Activation, type[nn.Module]] = {"relu": nn.ReLU, "silu": nn.Si
 class EncodedCoordinates:
     """Encoded distinct coordinates, and each pose's index among them.
 
-    `features` [D, C] are inputs of the first layer; `weights` are the knots' weights (local layout only).
+    `features` [D, C] are inputs of the first layer; `weights` are those of the banks' knots (empty without banks).
     """
 
     features: Float[Tensor, "distinct width"] | None
-    weights: KnotWeights | None
+    weights: tuple[Float32[Tensor, "distinct _ _"], ...]
     which: Int64[Tensor, "batch poses"]
 
     def first(self, poses: int) -> "EncodedCoordinates":
         """The first poses of an encoded increasing row of coordinates."""
         features = None if self.features is None else self.features[:poses]
-        weights = None if self.weights is None else self.weights.first(poses)
-        return EncodedCoordinates(features, weights, self.which[:, :poses])
+        return EncodedCoordinates(features, tuple(each[:poses] for each in self.weights), self.which[:, :poses])
 
 
 class ResidualLayer(nn.Module):
@@ -155,23 +153,11 @@ class ResidualLayer(nn.Module):
         return updated
 
 
-class PoseAttentionLayer(nn.Module):
-    """Table 7's alternative: pre-norm self-attention over the poses of a clip, masked where `hidden_from` is true."""
-
-    def __init__(self, width: int, heads: int) -> None:
-        super().__init__()
-        self.layer = nn.TransformerEncoderLayer(
-            width, heads, 2 * width, dropout=0.0, activation="gelu", batch_first=True, norm_first=True
-        )
-
-    def forward(
-        self,
-        hidden: Float[Tensor, "batch poses width"],
-        hidden_from: Bool[Tensor, "poses poses"] | None = None,
-    ) -> Float[Tensor, "batch poses width"]:
-        """One layer."""
-        updated: Tensor = self.layer(hidden, src_mask=hidden_from)
-        return updated
+def pose_attention(width: int, heads: int) -> nn.TransformerEncoderLayer:
+    """Table 7's alternative to a residual layer: pre-norm self-attention over the poses of a clip."""
+    return nn.TransformerEncoderLayer(
+        width, heads, 2 * width, dropout=0.0, activation="gelu", batch_first=True, norm_first=True
+    )
 
 
 def context_mask(num_context: int, num_poses: int, device: torch.device) -> Bool[Tensor, "poses poses"]:
@@ -189,29 +175,38 @@ class FieldNetwork(nn.Module):
     The coordinate branch depends on t alone and is computed once per distinct coordinate. The first layer is split into
     parts for z (once per clip), the coordinate (once per distinct t) and the framerate. `codebook` [N, d] is needed for
     the time encoding "codebook" and unused otherwise. With local latents the network learns what their linear model
-    leaves (`nerm.field.LinearModel`).
+    leaves (`nerm.latents.LinearModel`).
     """
 
     def __init__(
         self, config: FieldConfig, num_features: int, codebook: Float[Tensor, "codes dimension"] | None = None
     ) -> None:
         super().__init__()
-        self.config = config
+        self.config, encoder, decoder = config, config.encoder, config.decoder
         self.local = local_latents(config)
-        self.fourier, self.attention = self._time_encoding(codebook)
-        width, hidden = self._feature_width(), config.decoder.width
-        self.from_latent = nn.Linear(config.latents.dimension if self.local is None else self.local.num_inputs, hidden)
+        self.fourier: FourierFeatures | None = None
+        self.attention: CodebookCoordinateAttention | None = None
+        width = {"none": 0, "raw": 1}.get(encoder.kind, 2 * encoder.num_frequencies)
+        if encoder.kind in ("fourier", "codebook"):
+            period = None if self.local is None else self.local.phase_period
+            self.fourier = FourierFeatures(encoder.num_frequencies, encoder.frequency_scale, period)
+        if encoder.kind == "codebook":
+            if codebook is None:
+                raise ValueError("the time encoding 'codebook' needs a trained codebook")
+            self.attention = CodebookCoordinateAttention(codebook, encoder)
+        hidden, num_inputs = decoder.width, config.latents.dimension if self.local is None else self.local.num_inputs
+        self.num_read = num_inputs + width
+        self.from_latent = nn.Linear(num_inputs, hidden)
         self.from_coordinate = nn.Linear(width, hidden, bias=False) if width else None
         self.from_framerate = nn.Linear(1, hidden, bias=False)
-        layers = [
-            ResidualLayer(hidden, config.decoder.activation)
-            if config.decoder.kind == "mlp"
-            else PoseAttentionLayer(hidden, config.encoder.num_heads)
-            for _ in range(config.decoder.num_layers - 1)
-        ]
-        self.layers = nn.ModuleList(layers)
-        self.linear = None if self.local is None else nn.Linear(self.local.num_inputs, num_features, bias=False)
-        self.finish = nn.Sequential(nn.LayerNorm(hidden), ACTIVATIONS[config.decoder.activation]())
+        self.layers = nn.ModuleList(
+            ResidualLayer(hidden, decoder.activation)
+            if decoder.kind == "mlp"
+            else pose_attention(hidden, encoder.num_heads)
+            for _ in range(decoder.num_layers - 1)
+        )
+        self.linear = None if self.local is None else nn.Linear(num_inputs, num_features, bias=False)
+        self.finish = nn.Sequential(nn.LayerNorm(hidden), ACTIVATIONS[decoder.activation]())
         self.output = nn.Linear(hidden, num_features)
 
     @torch.no_grad()
@@ -225,70 +220,38 @@ class FieldNetwork(nn.Module):
         self.output.weight.zero_()
         self.output.bias.copy_(mean)
 
-    def _time_encoding(
-        self, codebook: Tensor | None
-    ) -> tuple[FourierFeatures | None, CodebookCoordinateAttention | None]:
-        config = self.config
-        if config.encoder.kind in ("none", "raw"):
-            return None, None
-        period = None if self.local is None else self.local.phase_period
-        fourier = FourierFeatures(config.encoder.num_frequencies, config.encoder.frequency_scale, period)
-        if config.encoder.kind == "fourier":
-            return fourier, None
-        if codebook is None:
-            raise ValueError("the time encoding 'codebook' needs a trained codebook")
-        attention = CodebookCoordinateAttention(
-            codebook,
-            width=config.encoder.query_width,
-            num_queries=config.encoder.num_queries,
-            heads=config.encoder.num_heads,
-            layers=config.encoder.num_layers,
-        )
-        return fourier, attention
-
-    def _feature_width(self) -> int:
-        if self.fourier is not None:
-            return self.config.encoder.query_width
-        return 1 if self.config.encoder.kind == "raw" else 0
-
     def encode_coordinates(
         self, coordinates: Float64[Tensor, "batch poses"], fps: Float64[Tensor, "batch"]
     ) -> EncodedCoordinates:
         """The whole coordinate branch, once per distinct coordinate."""
-        read = coordinates
         if self.config.encoder.coordinates == "frames":
             # 1 … T at each clip's own framerate (Table 9).
-            read = (coordinates + 1.0) * (0.5 * self.config.windows.max_duration_seconds) * fps[:, None] + 1.0
-        values, which = distinct(read)
+            coordinates = (coordinates + 1.0) * (0.5 * self.config.windows.max_duration_seconds) * fps[:, None] + 1.0
+        values, which = distinct(coordinates)
         values = rounded_up(values)
-        weights = None if self.local is None else self.local.weights(values)
-        return EncodedCoordinates(self._features(values), weights, which)
+        return EncodedCoordinates(
+            self._features(values), () if self.local is None else self.local.weights(values), which
+        )
 
     def _features(self, values: Float64[Tensor, "distinct"]) -> Float[Tensor, "distinct width"] | None:
         """γ(t), enhanced by CCA; with local latents of the phase between knots, which has fewer distinct values."""
         if self.fourier is None:
             return values[:, None].float() if self.config.encoder.kind == "raw" else None
-        if self.local is None:
-            read, which = values, torch.arange(len(values), device=values.device)
-        else:
-            read, which = distinct(torch.remainder(values + 1.0, self.local.phase_period))
-            read = rounded_up(read)
-        features: Tensor = self.fourier(read)
+        which = torch.arange(len(values), device=values.device)
+        if self.local is not None:
+            values, which = distinct(torch.remainder(values + 1.0, self.local.phase_period))
+            values = rounded_up(values)
+        features: Tensor = self.fourier(values)
         if self.attention is not None:
             features = self.attention(features)
         return features[which]
 
-    @property
-    def num_read(self) -> int:
-        """Output size of `read`; 0 without knots."""
-        return 0 if self.local is None else self.local.num_inputs + self._feature_width()
-
     def read(
         self, latents: Float[Tensor, "batch latent"], encoded: EncodedCoordinates
     ) -> Float[Tensor, "batch poses read"]:
-        """The decoder's inputs from z and t at each pose, for latents with knots."""
-        assert self.local is not None and encoded.weights is not None
-        inputs = self.local.read(latents, encoded.weights, encoded.which).inputs
+        """The decoder's inputs from z and t at each pose, `num_read` numbers, for latents with knots."""
+        assert self.local is not None
+        inputs, _ = self.local.read(latents, encoded.weights, encoded.which)
         return inputs if encoded.features is None else torch.cat((inputs, encoded.features[encoded.which]), dim=-1)
 
     def decode(
@@ -304,32 +267,23 @@ class FieldNetwork(nn.Module):
         """
         framerate = (self.config.encoder.framerate_scale * torch.log2(fps / REFERENCE_FPS)).float()  # s of Eq. 2
         hidden = self.from_framerate(framerate[:, None])[:, None]
-        reading = None
-        if self.local is not None and encoded.weights is not None:
-            reading = self.local.read(latents, encoded.weights, encoded.which)
-        hidden = hidden + self.from_latent(latents[:, None] if reading is None else reading.inputs)
+        inputs, path = latents[:, None], None
+        if self.local is not None:
+            inputs, path = self.local.read(latents, encoded.weights, encoded.which)
+        hidden = hidden + self.from_latent(inputs)
         if self.from_coordinate is not None and encoded.features is not None:
             hidden = hidden + self.from_coordinate(encoded.features)[encoded.which]
-        hidden_from: tuple[Tensor, ...] = ()
+        options = {}
         if num_context and self.config.decoder.kind == "transformer":
-            hidden_from = (context_mask(num_context, hidden.shape[1], hidden.device),)
+            options["src_mask"] = context_mask(num_context, hidden.shape[1], hidden.device)
         for layer in self.layers:
-            hidden = layer(hidden, *hidden_from)
+            hidden = layer(hidden, **options)
         vectors: Tensor = self.output(self.finish(hidden))
-        if reading is not None:
-            return self._assembled(vectors, reading)
-        # Without a coordinate (`none` with a global latent) a window is one constant pose.
-        return vectors.expand(-1, encoded.which.shape[1], -1)
-
-    def _assembled(
-        self, vectors: Float[Tensor, "batch poses numbers"], reading: Reading
-    ) -> Float32[Tensor, "batch poses numbers"]:
-        """Add the linear model's output and place poses on the body's path; in float32 even under autocast."""
-        with torch.autocast(vectors.device.type, enabled=False):
-            vectors = vectors.float()
-            if self.linear is not None:
-                vectors = vectors + self.linear(reading.inputs)
-            return vectors if reading.path is None else placed(vectors, reading.path)
+        if self.linear is None or path is None:
+            # Without a coordinate (`none` with a global latent) a window is one constant pose.
+            return vectors.expand(-1, encoded.which.shape[1], -1)
+        with torch.autocast(vectors.device.type, enabled=False):  # bfloat16 is too coarse for a path
+            return placed(vectors.float() + self.linear(inputs), path)
 
     def forward(
         self,
@@ -339,6 +293,25 @@ class FieldNetwork(nn.Module):
     ) -> Float[Tensor, "batch poses numbers"]:
         """f_θ(t_{v,s}, z, s) for a batch of clips."""
         return self.decode(latents, self.encode_coordinates(coordinates, fps), fps)
+
+
+NUM_LOGITS, CONTACT_WIDTH = 4, 128
+
+
+class ContactHead(nn.Module):
+    """Logits of contact of left ankle, left toe, right ankle and right toe, from the output of `FieldNetwork.read`."""
+
+    def __init__(self, num_read: int) -> None:
+        super().__init__()
+        width = CONTACT_WIDTH
+        self.layers = nn.Sequential(
+            nn.Linear(num_read, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, NUM_LOGITS)
+        )
+
+    def forward(self, read: Float[Tensor, "batch poses read"]) -> Float[Tensor, "batch poses 4"]:
+        """Logits."""
+        logits: Tensor = self.layers(read)
+        return logits
 
 
 def attention(
@@ -464,21 +437,14 @@ class Denoiser(nn.Module):
         self, latents: Float[Tensor, "batch latent"], steps: Int64[Tensor, "batch"], conditions: Conditions
     ) -> Float[Tensor, "batch latent"]:
         """The prediction that `DiffusionConfig.prediction` names."""
-        used = in_use(self.first_read, conditions.duration)
-        z = self.latent_in(self._tokens(latents * used))
+        used, num_tokens = in_use(self.first_read, conditions.duration), self.config.latent_tokens
+        z = self.latent_in((latents * used).unflatten(1, (num_tokens, -1)))
         time = self.step_in(step_features(steps, self.config.width))[:, None]
         tokens = torch.cat((z, time, self.conditions_in(conditions)), dim=1) + self.positions
-        mask = self._mask(used)
+        mask = None
+        if not self.always_whole:
+            is_used = used.unflatten(1, (num_tokens, -1)).any(dim=2)
+            mask = nn.functional.pad(is_used, (0, tokens.shape[1] - num_tokens), value=True)[:, None, None]
         tokens = through_long_skips(tokens, self.layers, self.skips, lambda layer, tokens: layer(tokens, mask))
-        out: Tensor = self.noise_out(self.out_norm(tokens[:, : self.config.latent_tokens]))
+        out: Tensor = self.noise_out(self.out_norm(tokens[:, :num_tokens]))
         return out.flatten(1) * used
-
-    def _tokens(self, numbers: Shaped[Tensor, "batch latent"]) -> Shaped[Tensor, "batch tokens per_token"]:
-        return numbers.view(len(numbers), self.config.latent_tokens, -1)
-
-    def _mask(self, used: Bool[Tensor, "batch latent"]) -> Bool[Tensor, "batch 1 1 tokens"] | None:
-        """The attention mask over tokens; None if all are used."""
-        if self.always_whole:
-            return None
-        of_latent = self._tokens(used).any(dim=2)
-        return nn.functional.pad(of_latent, (0, len(self.positions) - of_latent.shape[1]), value=True)[:, None, None]

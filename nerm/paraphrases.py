@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 
 SUBJECTS = ("a person", "someone", "the person", "a human", "a figure", "the subject")
-SUBJECT = re.compile(r"(?:(?:(?:a|the) )?(?:person|human being|human|figure|subject)|someone)(?= )", re.IGNORECASE)
-ANY_SUBJECT = re.compile(SUBJECT.pattern + r"|(?:(?:a|the) )?(?:man|woman|boy|girl)(?= )|s?he(?= )", re.IGNORECASE)
+SUBJECT = r"(?:(?:(?:a|the) )?(?:person|human being|human|figure|subject)|someone)(?= )"
+ANY_SUBJECT = SUBJECT + r"|(?:(?:a|the) )?(?:man|woman|boy|girl)(?= )|s?he(?= )"
 NEGATED = re.compile(r"\b(?:not|no|never|without|cannot|\w+n't)\b", re.IGNORECASE)
 VERBS = """
 balance bend bounce bow box carry cartwheel catch circle clap climb crawl creep cross crouch dance dash descend
@@ -24,18 +24,9 @@ sway sweep swim swing take throw tiptoe toss touch trip turn twist walk wash wav
 BASE_VERBS = tuple(VERBS.split())
 # "Start Hop Stop", "jump kick": no sentence that only lacks its subject.
 TITLE = re.compile(rf"\w.*[A-Z]|\w+ (?:{'|'.join(BASE_VERBS)})\b")
+LIMB = r"(?:left|right) (?:hand|arm|foot|leg|knee|elbow)"
 
 VerbForm = Literal["base", "third", "ing"]
-
-
-def paraphrases(text: str, count: int, rng: np.random.Generator) -> tuple[str, ...]:
-    """At most `count` paraphrases of a caption, drawn by `rng`, all different from it and from each other."""
-    distinct: dict[str, None] = {}
-    for _ in range(4 * count):
-        if len(distinct) < count:
-            distinct[paraphrased(text, rng)] = None
-            distinct.pop(text, None)
-    return tuple(distinct)
 
 
 def with_paraphrases(
@@ -49,7 +40,12 @@ def with_paraphrases(
         return list(captions)
     wordings = {}
     for text in sorted({text for of_window in captions for text in of_window}):
-        others = paraphrases(text, count, rng) or (text,)
+        distinct: dict[str, None] = {}
+        for _ in range(4 * count):
+            if len(distinct) < count:
+                distinct[paraphrased(text, rng)] = None
+                distinct.pop(text, None)
+        others = tuple(distinct) or (text,)
         wordings[text] = [text] * count + [others[i % len(others)] for i in range(count)]
     return [tuple(wording for text in of_window for wording in wordings[text]) for of_window in captions]
 
@@ -79,14 +75,36 @@ def participle(verb: str) -> str:
     return verb + (verb[-1] if doubled else "") + "ing"
 
 
-BASE_OF: dict[VerbForm, dict[str, str]] = {
-    "base": {verb: verb for verb in BASE_VERBS},
-    "third": {third_person(verb): verb for verb in BASE_VERBS},
-    "ing": {participle(verb): verb for verb in BASE_VERBS},
-}
 INFLECTED: dict[VerbForm, Callable[[str], str]] = {"base": str, "third": third_person, "ing": participle}
+BASE_OF = {form: {inflect(verb): verb for verb in BASE_VERBS} for form, inflect in INFLECTED.items()}
 # Positions of verbs of the same subject: first, and after a comma, "and" or "then".
 VERB_PLACE = re.compile(r"((?:^|(?<=, )|(?<=\band )|(?<=\bthen ))(?:[a-z]+ly )*)([a-z]+)(?![\w/'-])", re.IGNORECASE)
+
+
+def _verb_form(text: str) -> Sequence[str]:
+    """a person walks → a person is walking, a person walking, walking, walk."""
+    match = re.match(ANY_SUBJECT, text, re.IGNORECASE)
+    subject = match[0] if match else "a person"
+    predicate = text[match.end() + 1 :] if match else text
+    if NEGATED.search(text) or " - " in text or (not match and TITLE.match(text)):
+        return (text,)
+    progressive = match is not None and predicate.startswith("is ")
+    predicate = predicate[3 * progressive :]
+    source = _form_of(predicate)
+    if source is None or (progressive and source != "ing") or (match and source == "base"):
+        return (text,)
+
+    def inflected(form: VerbForm) -> str:
+        """The predicate with each verb in the form `source` converted to another one."""
+
+        def other(place: re.Match[str]) -> str:
+            base = BASE_OF[source].get(place[2].lower())
+            return place[0] if base is None else place[1] + INFLECTED[form](base)
+
+        return VERB_PLACE.sub(other, predicate)
+
+    base, third, ing = (inflected(form) for form in INFLECTED)
+    return (f"{subject} {third}", f"{subject} is {ing}", f"{subject} {ing}", ing, base)
 
 
 def _form_of(predicate: str) -> VerbForm | None:
@@ -96,14 +114,18 @@ def _form_of(predicate: str) -> VerbForm | None:
     return next((form for form, bases in BASE_OF.items() if word in bases), None)
 
 
-def _inflected(predicate: str, source: VerbForm, form: VerbForm) -> str:
-    """The predicate with each verb in the form `source` converted to another one."""
+def _adverb(text: str) -> Sequence[str]:
+    """a person slowly walks forward → a person walks forward slowly, where there is but one clause."""
+    match = re.fullmatch(rf"((?:{ANY_SUBJECT}) (?:is )?)([a-z]+ly) ([^,;]+?)(\.?)", text, re.IGNORECASE)
+    if match is None or re.search(r"\b(?:and|then|while|but|as|to)\b", text) or _form_of(match[3]) is None:
+        return (text,)
+    return (text, f"{match[1]}{match[3]} {match[2]}{match[4]}")
 
-    def other(match: re.Match[str]) -> str:
-        base = BASE_OF[source].get(match[2].lower())
-        return match[0] if base is None else match[1] + INFLECTED[form](base)
 
-    return VERB_PLACE.sub(other, predicate)
+def _reworded(pattern: str, *others: str) -> Callable[[str], Sequence[str]]:
+    """The rule that replaces what matches, everywhere, by each of some templates."""
+    compiled = re.compile(pattern, re.IGNORECASE)
+    return lambda text: (text, *(compiled.sub(other, text) for other in others if compiled.search(text)))
 
 
 def _performed(text: str) -> Sequence[str]:
@@ -117,86 +139,26 @@ def _performed(text: str) -> Sequence[str]:
     return (text, f"{start}{third_person(verb)}{' ' * bool(second)}{second}{rest}")
 
 
-def _manner(text: str) -> Sequence[str]:
-    """… in a happy style → in a happy way, in a happy manner; happy style."""
-    match = re.fullmatch(r"(.*) in an? ([a-z ]+) (?:style|way|manner|fashion)(\.?)", text, re.IGNORECASE)
-    if match is None:
-        return (text,)
-    start, style, end = match.groups()
-    article = "an" if style[0].lower() in "aeiou" else "a"
-    others = (f"{start} in {article} {style} {word}{end}" for word in ("style", "way", "manner"))
-    return (text, *others, f"{start}, {style} style{end}", f"{start}, {style}{end}")
-
-
-def _verb_form(text: str) -> Sequence[str]:
-    """a person walks → a person is walking, a person walking, walking, walk."""
-    match = ANY_SUBJECT.match(text)
-    subject = match[0] if match else "a person"
-    predicate = text[match.end() + 1 :] if match else text
-    if NEGATED.search(text) or " - " in text or (not match and TITLE.match(text)):
-        return (text,)
-    progressive = match is not None and predicate.startswith("is ")
-    predicate = predicate[3 * progressive :]
-    source = _form_of(predicate)
-    if source is None or (progressive and source != "ing") or (match and source == "base"):
-        return (text,)
-    base, third, ing = (_inflected(predicate, source, form) for form in INFLECTED)
-    return (f"{subject} {third}", f"{subject} is {ing}", f"{subject} {ing}", ing, base)
-
-
-def _subject(text: str) -> Sequence[str]:
-    """a person → someone, the person, a human, a figure, the subject."""
-    match = SUBJECT.match(text)
-    return (text,) if match is None else (text, *(subject + text[match.end() :] for subject in SUBJECTS))
-
-
-LIMB = r"(?:left|right) (?:hand|arm|foot|leg|knee|elbow)"
-
-
-def _determiner(text: str) -> Sequence[str]:
-    """raises left hand → raises the left hand, raises their left hand."""
-    bare = re.compile(rf"(?<!the )(?<!their )(?<!his )(?<!her )(?<!a )(?<!and )(?<!or )\b(?={LIMB}\b)", re.IGNORECASE)
-    return (text, *dict.fromkeys(bare.sub(word, text) for word in ("the ", "their ") if bare.search(text)))
-
-
-def _particle(text: str) -> Sequence[str]:
-    """raises up both hands → raises both hands up."""
-    moved = re.sub(
-        rf"\b(rais\w+|lift\w*) up ((?:(?:the|their|his|her) )?{LIMB}|both hands|both arms)\b", r"\1 \2 up", text
-    )
-    return (text, moved)
-
-
-def _adverb(text: str) -> Sequence[str]:
-    """a person slowly walks forward → a person walks forward slowly, where there is but one clause."""
-    match = re.fullmatch(rf"((?:{ANY_SUBJECT.pattern}) (?:is )?)([a-z]+ly) ([^,;]+?)(\.?)", text, re.IGNORECASE)
-    if match is None or re.search(r"\b(?:and|then|while|but|as|to)\b", text) or _form_of(match[3]) is None:
-        return (text,)
-    return (text, f"{match[1]}{match[3]} {match[2]}{match[4]}")
-
-
-def _clauses(text: str) -> Sequence[str]:
-    """A while walking → while walking, A; A, then B → A and then B."""
-    then = re.sub(r"(?:,|, and| and) then ", "{} then ", text, count=1)
-    if then != text:
-        return tuple(then.replace("{}", word, 1) for word in (",", " and", ", and"))
-    match = re.fullmatch(r"([^,;.]+) (while [a-z]+ing\b[^,;.]*)(\.?)", text, re.IGNORECASE)
-    return (text,) if match is None else (text, f"{match[2]}, {match[1]}{match[3]}")
-
-
-def _topic(text: str) -> Sequence[str]:
-    """dance - jump, turn → dance: jump, turn; dance, jump, turn."""
-    return (text, *(text.replace(" - ", mark, 1) for mark in (": ", ", ") if " - " in text))
-
-
 RULES: tuple[Callable[[str], Sequence[str]], ...] = (
     _performed,
-    _manner,
+    # … in a happy style → in a happy way, in a happy manner; happy style.
+    _reworded(
+        r"^(.*) in (an?) ([a-z ]+) (?:style|way|manner|fashion)(\.?)$",
+        *(rf"\1 in \2 \3 {word}\4" for word in ("style", "way", "manner")),
+        r"\1, \3 style\4",
+        r"\1, \3\4",
+    ),
     _adverb,
     _verb_form,
-    _subject,
-    _determiner,
-    _particle,
-    _clauses,
-    _topic,
+    _reworded(rf"^{SUBJECT}", *SUBJECTS),
+    # raises left hand → raises the left hand, raises their left hand.
+    _reworded(rf"(?<!the )(?<!their )(?<!his )(?<!her )(?<!a )(?<!and )(?<!or )\b(?={LIMB}\b)", "the ", "their "),
+    # raises up both hands → raises both hands up.
+    _reworded(rf"\b(rais\w+|lift\w*) up ((?:(?:the|their|his|her) )?{LIMB}|both hands|both arms)\b", r"\1 \2 up"),
+    # A, then B → A and then B.
+    _reworded(r"^(.*?)(?:,|, and| and) then ", r"\1, then ", r"\1 and then ", r"\1, and then "),
+    # A while walking → while walking, A.
+    _reworded(r"^([^,;.]+) (while [a-z]+ing\b[^,;.]*)(\.?)$", r"\2, \1\3"),
+    # dance - jump, turn → dance: jump, turn; dance, jump, turn.
+    _reworded(r"^(.*?) - ", r"\1: ", r"\1, "),
 )

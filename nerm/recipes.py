@@ -19,6 +19,7 @@ from motionkit.training.config import (
     DiffusionConfig,
     Precision,
     Schedule,
+    apply_overrides,
     flatten,
     from_plain,
     require_positive,
@@ -103,32 +104,22 @@ class LatentsConfig:
     """Latents N(μ, Σ) of the windows: in the layout `global` of `dimension` numbers (d).
 
     The layout `local` reads z as banks of knots along time (nerm/latents.py): bank i has knots[i] knots of
-    knot_numbers[i] pose components each; `path_knots` knots hold the body's path (0: no such bank). `kernel`, `radius`
-    and `modes` define the basis functions, `ridge` the fit of the linear model that local latents start from.
+    knot_numbers[i] pose components each; `path_knots` knots hold the body's path.
     """
 
     layout: LatentLayout = "global"
     dimension: int = 256
-    knots: tuple[int, ...] = (16,)
-    knot_numbers: tuple[int, ...] = (16,)
-    path_knots: int = 0
-    kernel: Literal["hann", "lanczos"] = "hann"
-    radius: float = 2.0
-    modes: int = 2
+    knots: tuple[int, ...] = (32, 16)
+    knot_numbers: tuple[int, ...] = (16, 13)
+    path_knots: int = 16
     variational: bool = True
     initial_log_variance: float = -6.0
-    ridge: float = 1e-2
 
     def __post_init__(self) -> None:
         if len(self.knots) != len(self.knot_numbers) or not self.knots:
             raise ValueError(
                 f"knots and knot_numbers need one value per bank, not {self.knots} and {self.knot_numbers}"
             )
-
-    @property
-    def has_path(self) -> bool:
-        """Whether z has a path bank."""
-        return self.layout == "local" and self.path_knots > 0
 
 
 @dataclass(frozen=True)
@@ -147,11 +138,6 @@ class EncoderConfig:
     num_queries: int = 256
     num_heads: int = 4
     num_layers: int = 3
-
-    @property
-    def query_width(self) -> int:
-        """Width of CCA's queries: that of γ(t), to which its output is added (the paper's 128 for R = 64)."""
-        return 2 * self.num_frequencies
 
 
 @dataclass(frozen=True)
@@ -204,15 +190,14 @@ class FieldConfig:
     precision: Precision = "float32"
 
     def __post_init__(self) -> None:
-        if self.latents.layout == "local" and self.encoder.coordinates == "frames":
-            raise ValueError("frame numbers (encoder.coordinates=frames, Table 9) need latents.layout=global")
-        if self.latents.has_path and self.pose_vectors != "field":
-            raise ValueError(f"a path bank needs positions: pose_vectors={self.pose_vectors} needs path_knots=0")
-        if self.latents.has_path and self.loss.scaling != "group":
-            raise ValueError("a path bank rotates poses, so x and z need the same scale: loss.scaling=group")
-
-
-LatentScale = Literal["number", "component"]
+        if self.latents.layout == "local":
+            # Knots lie at normalised coordinates; a path rotates positions, whose x and z need the same scale.
+            settings = self.encoder.coordinates, self.pose_vectors, self.loss.scaling
+            if settings != ("normalised", "field", "group"):
+                raise ValueError(
+                    "latents.layout=local needs encoder.coordinates=normalised, pose_vectors=field and "
+                    f"loss.scaling=group, not {', '.join(settings)}: use latents.layout=global"
+                )
 
 
 @dataclass(frozen=True)
@@ -253,13 +238,11 @@ class ConditionsConfig:
 class DenoiserConfig:
     """The stage `denoiser` (paper §3.2, D).
 
-    `latent_scale` standardises each number of z by itself, or each component over all knots of local latents;
     `ema_decay` is the decay of the weights' moving average (0: none).
     """
 
     network: TransformerConfig = TransformerConfig()
     diffusion: DiffusionConfig = DiffusionConfig()
-    latent_scale: LatentScale = "number"
     conditions: ConditionsConfig = ConditionsConfig()
     schedule: Schedule = Schedule(epochs=3000)
     ema_decay: float = 0.0
@@ -301,44 +284,30 @@ def nano() -> NermConfig:
 
 def small() -> NermConfig:
     """An hour and a half on two CPU cores: `nano` with mirrored windows, a wider denoiser and more steps."""
-    field, denoiser = nano().field, nano().denoiser
-    return replace(
+    return apply_overrides(
         nano(),
-        field=replace(
-            field,
-            windows=replace(field.windows, mirrored=True),
-            schedule=replace(field.schedule, steps=16_000),
-        ),
-        denoiser=replace(
-            denoiser,
-            network=replace(denoiser.network, num_layers=7, width=256, ffn_width=768),
-            schedule=replace(denoiser.schedule, steps=16_000, learning_rate=1.5e-3),
-            ema_decay=0.998,
-        ),
+        [
+            *("field.windows.mirrored=true", "field.schedule.steps=16000"),
+            *("denoiser.network.num_layers=7", "denoiser.network.width=256", "denoiser.network.ffn_width=768"),
+            *("denoiser.schedule.steps=16000", "denoiser.schedule.learning_rate=1.5e-3", "denoiser.ema_decay=0.998"),
+        ],
     )
 
 
 def base() -> NermConfig:
     """An hour on an H100: `nano` at the paper's widths; docs/nerm.md counts the FLOPs."""
-    codebook, field, denoiser = CodebookConfig(), nano().field, nano().denoiser
-    return NermConfig(
-        codebook=replace(
-            codebook, schedule=replace(codebook.schedule, steps=20_000, drop_every=0.65), precision="auto"
-        ),
-        field=replace(
-            field,
-            windows=replace(field.windows, mirrored=True),
-            encoder=replace(field.encoder, num_queries=256),
-            decoder=replace(field.decoder, width=1024),
-            schedule=replace(field.schedule, steps=60_000, batch_size=4096, learning_rate=2e-3),
-            optimizer=replace(field.optimizer, attention_learning_rate=5e-4),
-        ),
-        denoiser=replace(
-            denoiser,
-            network=TransformerConfig(width=512, num_heads=8, ffn_width=2048, latent_tokens=16),
-            schedule=replace(denoiser.schedule, steps=80_000, batch_size=256, learning_rate=3e-4),
-            ema_decay=0.9999,
-        ),
+    return apply_overrides(
+        replace(nano(), codebook=CodebookConfig()),
+        [
+            *("codebook.schedule.steps=20000", "codebook.schedule.drop_every=0.65", "codebook.precision=auto"),
+            *("field.windows.mirrored=true", "field.encoder.num_queries=256", "field.decoder.width=1024"),
+            *("field.schedule.steps=60000", "field.schedule.batch_size=4096", "field.schedule.learning_rate=2e-3"),
+            *("field.optimizer.attention_learning_rate=5e-4", "denoiser.network.num_layers=9"),
+            *("denoiser.network.width=512", "denoiser.network.num_heads=8", "denoiser.network.ffn_width=2048"),
+            *("denoiser.network.dropout=0.1", "denoiser.network.latent_tokens=16", "denoiser.ema_decay=0.9999"),
+            *("denoiser.schedule.steps=80000", "denoiser.schedule.batch_size=256"),
+            "denoiser.schedule.learning_rate=3e-4",
+        ],
     )
 
 
@@ -362,17 +331,7 @@ def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
     return FieldConfig(
         windows=WindowsConfig(stride_seconds=stride_seconds),
         clips=ClipsConfig(num_poses=8, contiguous=False, seconds_per_visit=2.5, warmup_fraction=0.02, lowest_fps=20.0),
-        latents=LatentsConfig(
-            layout="local",
-            knots=(32, 16),
-            knot_numbers=(16, 13),
-            path_knots=16,
-            kernel="lanczos",
-            radius=3.0,
-            modes=3,
-            initial_log_variance=-8.0,
-            ridge=0.02,
-        ),
+        latents=LatentsConfig(layout="local", initial_log_variance=-8.0),
         encoder=EncoderConfig(num_queries=64, framerate_scale=0.05),
         decoder=DecoderConfig(width=256, activation="silu"),
         loss=FieldLossConfig(scaling="group", root_weight=4.0),
@@ -387,7 +346,6 @@ def _knot_denoiser(*, steps: int, paraphrases: int = 0) -> DenoiserConfig:
     return DenoiserConfig(
         network=TransformerConfig(num_layers=5, width=192, ffn_width=512, dropout=0.0, latent_tokens=8),
         diffusion=DiffusionConfig(prediction="velocity", sampling_steps=10, guidance_scale=2.0),
-        latent_scale="component",
         conditions=ConditionsConfig(paraphrases=paraphrases),
         schedule=Schedule(steps=steps, learning_rate=2e-3, kind="cosine", warmup_fraction=0.02),
         ema_decay=0.995,
@@ -485,6 +443,8 @@ def _rows(layout: LatentLayout, *changes: tuple[str, ...]) -> tuple[Variant, ...
     settings = [f"field.latents.layout={layout}"]
     if layout == "global":
         settings += ["field.optimizer.latent_learning_rate=1e-1", "denoiser.network.latent_tokens=1"]
+    else:
+        settings += ["field.pose_vectors=field", "field.loss.scaling=group"]
 
     def needs(recipe: NermConfig) -> tuple[str, ...]:
         """Settings for a recipe made for the other layout."""

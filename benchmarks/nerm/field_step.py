@@ -34,7 +34,7 @@ def per_pose(network: FieldNetwork, coordinates: torch.Tensor) -> EncodedCoordin
     assert network.fourier is not None
     assert network.attention is not None
     features = network.attention(network.fourier(coordinates.reshape(-1)))
-    return EncodedCoordinates(features, None, torch.arange(coordinates.numel()).reshape(coordinates.shape))
+    return EncodedCoordinates(features, (), torch.arange(coordinates.numel()).reshape(coordinates.shape))
 
 
 def main() -> None:

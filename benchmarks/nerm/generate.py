@@ -24,10 +24,8 @@ from benchmarks.command import arguments_parser, best_cpu_seconds, print_json
 from motionkit.data.windows import Windows
 from motionkit.generate.models import GenerationRequest
 from motionkit.training.networks import ConditionSizes, VectorScaling
-from nerm.denoiser import TrainedDenoiser
-from nerm.field import LatentSpace, TrainedField
-from nerm.latents import first_read, local_latents
-from nerm.model import NermModel, load
+from nerm.latents import LatentSpace, first_read, local_latents
+from nerm.model import NermModel, TrainedDenoiser, TrainedField, load
 from nerm.network import Denoiser, FieldNetwork
 from nerm.recipes import RECIPES
 
@@ -60,7 +58,7 @@ def random_model(recipe: str) -> NermModel:
     field = TrainedField(
         network=network,
         scaling=VectorScaling(torch.zeros(NUM_NUMBERS), torch.ones(NUM_NUMBERS)),
-        components=None,
+        linear_model=None,
         posterior_mean=torch.randn(1, size),
         posterior_log_variance=torch.zeros(1, size),
         windows=windows,
@@ -129,7 +127,7 @@ def decoding_rate(model: NermModel, repeats: int) -> dict[str, object]:
     with torch.inference_mode():
         peak = inner / cpu_seconds(products, repeats)
         network = flops / cpu_seconds(lambda: field.decode_vectors(latent, encoded, fps), repeats)
-        positions = flops / cpu_seconds(lambda: field.decode(latent, times, fps), repeats)
+        positions = flops / cpu_seconds(lambda: field.poses(latent, times, fps), repeats)
     return {
         "poses": len(times),
         "floor_gflops": peak / 1e9,

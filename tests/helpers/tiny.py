@@ -38,7 +38,6 @@ NERM = NermConfig(
         "schedule.kind=cosine optimizer.attention_learning_rate=0.001 optimizer.latent_learning_rate=0.02 "
         "optimizer.weight_decay=0.0 windows.max_duration_seconds=3.0 windows.stride_seconds=1.0 "
         "latents.layout=local latents.knots=8 latents.knot_numbers=8 latents.path_knots=8 encoder.num_frequencies=8 "
-        "latents.kernel=lanczos latents.radius=3 latents.modes=3 latents.ridge=0.02 "
         "encoder.num_queries=8 encoder.num_layers=1 encoder.framerate_scale=0.05 decoder.width=32 "
         "decoder.num_layers=3 decoder.activation=silu loss.scaling=group clips.num_poses=8 clips.contiguous=false "
         "clips.seconds_per_visit=2.5 clips.warmup_fraction=0.1 clips.lowest_fps=20.0".split(),
@@ -49,7 +48,7 @@ NERM = NermConfig(
             ema_decay=0.9,
         ),
         f"schedule.epochs=none schedule.steps={STEPS} schedule.batch_size=16 schedule.learning_rate=0.002 "
-        "schedule.kind=cosine conditions.text_encoder=none latent_scale=component".split(),
+        "schedule.kind=cosine conditions.text_encoder=none".split(),
     ),
 )
 STAGES: dict[str, tuple[Stage[Any], Any]] = {stage.name: (stage, NERM) for stage in (CODEBOOK, FIELD, DENOISER)}

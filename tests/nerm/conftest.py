@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from nerm.field import TrainedField
+from nerm.model import TrainedField
 from tests.nerm.small_fields import BANKED, SMALL, finished, losses_of, small_training
 
 

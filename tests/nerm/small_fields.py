@@ -10,8 +10,8 @@ from motionkit.features import field as field_vectors
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.training.config import apply_overrides, setting_text
 from motionkit.training.loop import step_generator
-from nerm.field import TrainedField
 from nerm.field_training import FieldTraining
+from nerm.model import TrainedField
 from nerm.recipes import FieldConfig
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source
 
@@ -20,11 +20,11 @@ SMALL = apply_overrides(
     [
         "windows.max_duration_seconds=4.0",
         "latents.layout=local",
-        "latents.dimension=128",
         "latents.initial_log_variance=-9.0",
         "encoder.framerate_scale=0.05",
         "latents.knots=16",
         "latents.knot_numbers=8",
+        "latents.path_knots=16",
         "encoder.kind=fourier",
         "encoder.num_frequencies=8",
         "decoder.width=64",
@@ -48,12 +48,10 @@ SMALL = apply_overrides(
 
 
 def local_settings(knots: tuple[int, ...], numbers: tuple[int, ...], path_knots: int, *changes: str) -> FieldConfig:
-    """Latents of these banks, a Lanczos window, and a path if it has knots."""
-    dimension = sum(count * size for count, size in zip((*knots, path_knots), (*numbers, 3), strict=True))
-    banks = {"dimension": dimension, "knots": knots, "knot_numbers": numbers, "path_knots": path_knots}
+    """Latents of these banks and of a path."""
+    banks = {"knots": knots, "knot_numbers": numbers, "path_knots": path_knots}
     settings = [f"latents.{key}={setting_text(value)}" for key, value in banks.items()]
-    kinds = ["latents.layout=local", "latents.kernel=lanczos", "loss.scaling=group"]
-    return apply_overrides(FieldConfig(), [*settings, *kinds, *changes])
+    return apply_overrides(FieldConfig(), [*settings, "latents.layout=local", "loss.scaling=group", *changes])
 
 
 def small_poses(config: FieldConfig = SMALL) -> WindowPoses:
@@ -73,11 +71,9 @@ def losses_of(training: FieldTraining, steps: int) -> list[float]:
 BANKED = apply_overrides(
     SMALL,
     [
-        f"latents.dimension={16 * 6 + 8 * 4 + 8 * 3}",
         "latents.knots=16,8",
         "latents.knot_numbers=6,4",
         "latents.path_knots=8",
-        "latents.kernel=lanczos",
         "optimizer.latent_learning_rate=0.01",
     ],
 )
@@ -88,7 +84,7 @@ def finished(training: FieldTraining) -> TrainedField:
     return TrainedField(
         network=training.network.eval().requires_grad_(False),
         scaling=training.scaling,
-        components=training.components,
+        linear_model=training.linear_model,
         posterior_mean=mean,
         posterior_log_variance=log_variance,
         windows=training.poses.windows,
@@ -102,5 +98,5 @@ def error_mm(trained: TrainedField, latents: torch.Tensor, window: int, fps: int
     row = slice(window, window + 1)
     vectors = field_vectors.encode(truth, trained.windows.yaw[row], trained.windows.origin[row])
     expected = field_vectors.decode(vectors)[0]
-    found = trained.decode(latents[None], times, Fraction(fps))[0]
+    found = trained.poses(latents[None], times, Fraction(fps))[0].joint_positions
     return float(np.linalg.norm(found - expected, axis=-1).mean() * 1000)

@@ -16,12 +16,10 @@ from nerm.codebook import (
     CodebookNetwork,
     CodebookTraining,
     Quantiser,
-    VectorCorpus,
     codebook_vectors,
     load_published,
     train_codebook,
     vector_corpus,
-    write_vectors,
 )
 from nerm.field_training import load_codes
 from nerm.recipes import CodebookConfig, NermConfig, nano, paper
@@ -41,13 +39,8 @@ SMALL = apply_overrides(
 )
 
 
-def _corpus(path: Path) -> VectorCorpus:
-    write_vectors(analytic_source(), SMALL, path / "vectors.f32")
-    return vector_corpus(analytic_source(), SMALL, path / "vectors.f32")
-
-
-def _training(path: Path) -> CodebookTraining:
-    return CodebookTraining(_corpus(path), SMALL, seed=0, device=torch.device("cpu"))
+def _training() -> CodebookTraining:
+    return CodebookTraining(vector_corpus(analytic_source(), SMALL), SMALL, seed=0, device=torch.device("cpu"))
 
 
 def test_the_paper_s_codebook_is_t2m_gpt_s() -> None:
@@ -97,9 +90,9 @@ def test_vectors_are_the_same_wherever_and_whichever_way_a_body_goes() -> None:
     assert vectors[:, 2].mean() == pytest.approx(0.5, abs=0.1)
 
 
-def test_the_corpus_is_resampled_and_starts_stay_inside_a_sequence(tmp_path: Path) -> None:
+def test_the_corpus_is_resampled_and_starts_stay_inside_a_sequence() -> None:
     source = analytic_source()
-    corpus = _corpus(tmp_path)
+    corpus = vector_corpus(source, SMALL)
     rows = [80] * 4
     assert len(corpus.vectors) == sum(rows)
     assert len(corpus.first_rows) == sum(length - SMALL.window_frames + 1 for length in rows)
@@ -110,8 +103,8 @@ def test_the_corpus_is_resampled_and_starts_stay_inside_a_sequence(tmp_path: Pat
     assert abs(float(windows.mean())) < 0.2
 
 
-def test_the_loss_falls_and_many_codes_are_used(tmp_path: Path) -> None:
-    training = _training(tmp_path)
+def test_the_loss_falls_and_many_codes_are_used() -> None:
+    training = _training()
     figures = [training.step(step, step_generator(0, "codebook", step)) for step in range(SMALL.schedule.steps)]
     losses = [float(each["reconstruction"].detach()) for each in figures]
     assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:5])

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,8 @@ from motionkit.data.windows import cut_windows
 from motionkit.fields.motion_field import PredictsContacts
 from motionkit.training.config import apply_overrides
 from motionkit.training.run import StageFolder
-from nerm.field import TrainedField, load_field, save_field
 from nerm.field_training import labels_at, train_contacts
+from nerm.model import TrainedField, load_field, save_field
 from tests.helpers.nerm_corpus import analytic_source
 from tests.nerm.small_fields import BANKED, finished, small_training
 
@@ -68,7 +67,8 @@ def test_contacts_are_in_the_file_and_older_files_have_none(trained: TrainedFiel
     for name, field in (("with", trained), ("without", replace(trained, contacts=None))):
         save_field(StageFolder(tmp_path / name / "field"), field)
         loaded = load_field(tmp_path / name)
-        said = [each.contact_probabilities(trained.posterior_mean[0], times, Fraction(60)) for each in (field, loaded)]
+        motions = (each.as_motion_field(trained.posterior_mean[0], 4.0) for each in (field, loaded))
+        said = [motion.contacts(times) for motion in motions]
         assert (said[0] is None) == (said[1] is None) == (name == "without")
         if said[0] is not None:
             np.testing.assert_array_equal(said[0], said[1])

@@ -9,7 +9,8 @@ from motionkit.training.config import apply_overrides
 from motionkit.training.loop import train_loop
 from motionkit.training.networks import NO_ACTION, Conditions, window_conditions
 from motionkit.training.run import RunFolder
-from nerm.denoiser import DenoiserTraining, LatentCorpus, TrainedDenoiser, load_denoiser, save_denoiser
+from nerm.denoiser import DenoiserTraining, LatentCorpus
+from nerm.model import TrainedDenoiser, load_denoiser, save_denoiser
 from nerm.recipes import DenoiserConfig, TransformerConfig
 
 TEXTS = ("a person walks", "someone is walking", "a jump")
@@ -56,7 +57,7 @@ def mixture(tmp_path_factory) -> tuple[TrainedDenoiser, RunFolder]:
     training = DenoiserTraining(CONFIG, mixture_corpus(), seed=0, device=torch.device("cpu"))
     train_loop(training, folder, seed=0)
     model = training.finished(text_fingerprint="", field_sha256="f" * 64)
-    save_denoiser(run, model)
+    save_denoiser(folder, model)
     folder.finish({"loss": 1.0})
     return model, run
 

@@ -14,8 +14,8 @@ from motionkit.features.field import FIELD_VECTORS
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, to_motion
 from motionkit.fields.resample import complete
 from nerm.encoding import NermEncoder, encode_by_optimisation, minimise_each
-from nerm.field import PoseTensors, TrainedField
 from nerm.field_training import FieldTraining
+from nerm.model import TrainedField
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source
 from tests.helpers.velocities import joint_velocities, observed_errors
 from tests.nerm.small_fields import SMALL, error_mm, finished, losses_of, small_poses
@@ -78,7 +78,7 @@ def test_what_cannot_be_encoded_is_named(trained: TrainedField) -> None:
 
 
 def test_encoding_by_optimisation_finds_a_training_window_again(small_field: TrainedField) -> None:
-    batch = PoseTensors.of(small_poses().evenly(np.arange(4), 61))
+    batch = small_poses().evenly(np.arange(4), 61)
     latents = encode_by_optimisation(small_field, batch)
     assert max(error_mm(small_field, latents[window], window, 120) for window in range(4)) < 5.0
 

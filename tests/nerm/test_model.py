@@ -14,12 +14,10 @@ from motionkit.training.config import DiffusionConfig
 from motionkit.training.loop import seeded_initialisation
 from motionkit.training.networks import ConditionSizes
 from motionkit.training.run import RunError
-from nerm.denoiser import TrainedDenoiser
-from nerm.field import LatentSpace, TrainedField
-from nerm.latents import ALWAYS
-from nerm.model import NermModel
+from nerm.latents import ALWAYS, LatentSpace
+from nerm.model import NermModel, TrainedDenoiser, TrainedField
 from nerm.network import Denoiser
-from nerm.recipes import DenoiserConfig, TransformerConfig
+from nerm.recipes import DenoiserConfig, FieldConfig, TransformerConfig
 
 NETWORK = TransformerConfig(num_layers=3, width=16, num_heads=2, ffn_width=32, dropout=0.0)
 
@@ -27,7 +25,8 @@ NETWORK = TransformerConfig(num_layers=3, width=16, num_heads=2, ffn_width=32, d
 class KnownField(TrainedField):
     """A field whose motions are not decoded."""
 
-    max_duration_seconds, max_training_fps, skeleton, has_joints = 8.0, Fraction(120), SMPL22, False
+    max_duration_seconds, max_training_fps, skeleton = 8.0, Fraction(120), SMPL22
+    config = FieldConfig(pose_vectors="native")
 
     def __init__(self):
         pass

@@ -15,6 +15,7 @@ TINY = apply_overrides(
         "latents.dimension=32",
         "latents.knots=8",
         "latents.knot_numbers=4",
+        "latents.path_knots=4",
         "encoder.num_queries=8",
         "encoder.num_frequencies=8",
         "decoder.width=24",
@@ -24,30 +25,17 @@ TINY = apply_overrides(
     ],
 )
 CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))
-LOCAL = "latents.layout=local"
+LOCAL = ("latents.layout=local", "loss.scaling=group")
 VARIANTS = {
     "paper": (),
-    "local": (LOCAL,),
     "no time encoding": ("encoder.kind=none",),
     "raw time": ("encoder.kind=raw",),
-    "raw time, local": ("encoder.kind=raw", LOCAL),
+    "raw time, local": ("encoder.kind=raw", *LOCAL),
     "fourier": ("encoder.kind=fourier",),
     "frame numbers": ("encoder.coordinates=frames",),
     "transformer": ("decoder.kind=transformer",),
-    "banks": (
-        LOCAL,
-        f"latents.dimension={8 * 3 + 4 * 5}",
-        "latents.knots=8,4",
-        "latents.knot_numbers=3,5",
-        "latents.kernel=lanczos",
-    ),
-    "body path": (
-        LOCAL,
-        f"latents.dimension={8 * 3 + 4 * 3}",
-        "latents.knot_numbers=3",
-        "latents.path_knots=4",
-        "loss.scaling=group",
-    ),
+    "one bank": LOCAL,
+    "banks": (*LOCAL, "latents.knots=8,4", "latents.knot_numbers=3,5"),
 }
 
 
@@ -56,10 +44,9 @@ def _network(*changes: str) -> FieldNetwork:
     return FieldNetwork(apply_overrides(TINY, changes), 66, CODES).eval()
 
 
-def _clips(
-    batch: int = 5, poses: int = 7, dimension: int = TINY.latents.dimension
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def _clips(network: FieldNetwork, batch: int = 5, poses: int = 7) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     generator = torch.Generator().manual_seed(1)
+    dimension = TINY.latents.dimension if network.local is None else network.local.dimension
     latents = torch.randn(batch, dimension, generator=generator)
     frames = torch.randint(0, 40, (batch, poses), generator=generator)
     fps = torch.tensor([20.0, 30.0, 60.0, 120.0, 100.0], dtype=torch.float64)[:batch]
@@ -69,7 +56,7 @@ def _clips(
 @pytest.mark.parametrize("name", [name for name in VARIANTS if name != "transformer"])
 def test_a_pose_depends_on_its_own_coordinate_latent_and_framerate_alone(name: str) -> None:
     network = _network(*VARIANTS[name])
-    latents, coordinates, fps = _clips(dimension=network.config.latents.dimension)
+    latents, coordinates, fps = _clips(network)
     together = network(latents, coordinates, fps)
     for clip in range(5):
         for pose in range(7):
@@ -81,7 +68,7 @@ def test_a_pose_depends_on_its_own_coordinate_latent_and_framerate_alone(name: s
 
 def test_through_a_context_a_transformers_pose_depends_on_nothing_else_either() -> None:
     network = _network(*VARIANTS["transformer"])
-    latents, coordinates, fps = _clips(dimension=network.config.latents.dimension)
+    latents, coordinates, fps = _clips(network)
 
     def decoded(poses: list[int], num_context: int) -> torch.Tensor:
         encoded = network.encode_coordinates(coordinates[:, poses], fps)
@@ -100,19 +87,20 @@ def test_the_decoder_is_the_paper_s() -> None:
     config = RECIPES["paper"]().field
     decoder, encoder = config.decoder, config.encoder
     assert (decoder.width, decoder.num_layers, decoder.activation, config.latents.dimension) == (1024, 9, "relu", 256)
-    assert (encoder.num_queries, encoder.query_width, encoder.num_heads, encoder.num_layers) == (256, 128, 4, 3)
+    assert (encoder.num_queries, encoder.num_frequencies, encoder.num_heads, encoder.num_layers) == (256, 64, 4, 3)
     assert (config.schedule.batch_size, config.schedule.learning_rate) == (4096, 1e-4)
     assert (config.loss.kl_weight, config.latents.layout) == (1e-4, "global")
 
 
 def test_a_local_latent_means_the_same_at_every_knot() -> None:
-    network = _network(LOCAL)
-    latents = torch.randn(1, 8, 4)
-    spacing = 2 / 8
-    t = torch.tensor([[-1 + 2.3 * spacing]], dtype=torch.float64)
+    network = _network(*LOCAL, "latents.knots=16", "latents.path_knots=16")
+    assert network.local is not None
+    banks = [torch.randn(1, bank.num_knots, bank.numbers) for bank in network.local.banks]
+    later_banks = [torch.roll(knots, 2, dims=1) for knots in banks]
+    t = torch.tensor([[-0.1]], dtype=torch.float64)
     fps = torch.tensor([30.0], dtype=torch.float64)
-    here = network(latents.flatten(1), t, fps)
-    later = network(torch.roll(latents, 2, dims=1).flatten(1), t + 2 * spacing, fps)
+    here = network(network.local.join(banks), t, fps)
+    later = network(network.local.join(later_banks), t + 0.25, fps)
     torch.testing.assert_close(here, later, atol=1e-5, rtol=1e-4)
 
 
