@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from eval.report.results import read_result
+from eval.report.results import read_result, to_markdown
 
 ROOT = Path(__file__).parents[1]
 RESULTS = sorted((ROOT / "docs" / "results").glob("*.json"))
@@ -59,3 +59,10 @@ def test_readme_has_the_reconstruction_errors_of_table_4() -> None:
     training, held_out = ({f"{cell.value:.0f}" for cell in row.cells.values()} for row in block.rows)
     said = re.search(r"reconstructed to (\d+) mm and held-out ones to (\d+) mm", README)
     assert said and ({said[1]}, {said[2]}) == (training, held_out)
+
+
+@pytest.mark.parametrize("task", ["physical-framerates", "physical-games"])
+def test_every_table_of_physical_figures_is_on_their_page(task: str) -> None:
+    page = (ROOT / "docs" / "results" / "physical.md").read_text(encoding="utf-8").splitlines()
+    table = to_markdown(read_result(ROOT / "docs" / "results" / f"{task}.json")).splitlines()
+    assert [line for line in table if line.startswith("| ") and line not in page] == []

@@ -1,7 +1,6 @@
 """The physical table: real motion, a model that knows it and samples, with takes, motions and intervals."""
 
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,15 +24,15 @@ def performance(seed: int):
     return analytic_motion("walk", SECONDS + 0.1, seed)
 
 
-def poses_at(times_seconds: np.ndarray, seed: int, drift: float) -> np.ndarray:
-    positions = performance(seed).query(times_seconds).joint_positions.copy()
-    positions[..., 0] += (drift * times_seconds)[:, None].astype(np.float32)
-    return positions
-
-
-def sliding_truth(request: GenerationRequest, chance: tuple[int, int], drift: float) -> PosesAt:
+def sliding_truth(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
     """A model that knows every take by its caption, and lets it drift."""
-    return partial(poses_at, seed=int(request.text), drift=drift)
+
+    def poses_at(times_seconds: np.ndarray) -> np.ndarray:
+        positions = performance(int(request.text)).query(times_seconds).joint_positions.copy()
+        positions[..., 0] += (0.3 * times_seconds)[:, None].astype(np.float32)
+        return positions
+
+    return poses_at
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +46,7 @@ def cells(result, block: int) -> dict[str, dict]:
 
 
 def test_rows_of_real_motion_and_of_a_model_that_slides(store: Path, tmp_path: Path, monkeypatch) -> None:
-    install_models(monkeypatch, lambda run: ScriptedModel(partial(sliding_truth, drift=0.3)))
+    install_models(monkeypatch, lambda run: ScriptedModel(sliding_truth))
     request = table_request(store, tmp_path, run=trained_run(tmp_path / "run"), fps=(Fraction(20), Fraction(60)))
     result = TABLE.build(request)
     detail = result.blocks[-1]

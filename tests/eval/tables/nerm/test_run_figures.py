@@ -65,13 +65,3 @@ def test_who_never_learnt_to_do_without_a_condition_is_given_any(
     assert {"Broken: it was told nothing", "NeRM: its weights are gone"} <= set(result.missing)
     with pytest.raises(RunError, match="Broken: it was told nothing"):
         figures.FIGURE_5.build(request(store, tmp_path / "none", monkeypatch, Broken(told)))
-
-
-def test_a_system_that_fails_has_no_row_of_costs(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(figures, "STEPS", ())
-    wanted = request(store, tmp_path, monkeypatch, Broken(told), ScriptedModel(free))
-    result = figures.FIGURE_8.build(wanted)
-    (row,) = (row for row in result.blocks[0].rows if row.origin == "ours")
-    assert row.name == "NeRM" and set(row.cells) == set(result.blocks[0].columns)
-    assert [row.name for row in result.blocks[1].rows if row.origin == "ours"] == ["NeRM", "NeRM, planted"]
-    assert {"Broken: it was told nothing", "NeRM: its weights are gone"} <= set(result.missing)

@@ -11,7 +11,7 @@ import pytest
 
 from eval.clip_fid import score
 from eval.clip_fid.score import Protocol
-from eval.report.results import Block, Result
+from eval.report.results import Result
 from eval.sets.motions import VARIANT_NOTES
 from eval.sets.sets import RowId, Variant
 from eval.tables import systems
@@ -54,18 +54,9 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def few_clips_in_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_clips_and_copies(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(score, "FIT_CLIPS", 1000)
-
-
-@pytest.fixture
-def without_copies(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search for copies, half the seconds of a small table, finds nothing to compare with."""
-
-    def none(*arguments: object) -> Block:
-        raise ValueError("left out")
-
-    monkeypatch.setattr(table2, "copies_block", none)
+    monkeypatch.setattr(table2, "MAX_COPIES", 3)
 
 
 def build(store: Path, folder: Path, **changes: object) -> Result:
@@ -78,7 +69,6 @@ def test_a_model_that_is_the_real_motion_reaches_the_floor(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     install_models(monkeypatch, lambda run: ScriptedModel(truth))
-    monkeypatch.setattr(table2, "MAX_COPIES", 3)
     result = build(store, tmp_path, run=trained_run(tmp_path / "run"))
     rows = rows_of(result)
     floor = rows[str(systems.P1)]
@@ -93,13 +83,11 @@ def test_a_model_that_is_the_real_motion_reaches_the_floor(
     assert len(set(result.blocks[0].provenance["fingerprints"].values())) == 2
 
 
-@pytest.mark.usefixtures("without_copies")
 def test_generations_of_a_model_count_as_its_motions_and_rows_are_compared(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     install_models(monkeypatch, lambda run: ScriptedModel(truth))
-    result = build(store, tmp_path, run=trained_run(tmp_path / "run"), draws=2)
-    scores, differences = result.blocks[:2]
+    scores, differences, *_ = build(store, tmp_path, run=trained_run(tmp_path / "run"), draws=2).blocks
     row = next(row for row in scores.rows if row.name == NERM)
     assert [(cell.details["motions"], cell.details["takes"]) for cell in row.cells.values()] == [(24, 12)] * 2
     assert "a covariance is singular" in scores.note
@@ -118,7 +106,6 @@ class Framed(ScriptedModel):
         return [interpolate(to_motion(field, Fraction(20)), "linear") for field in fields]
 
 
-@pytest.mark.usefixtures("without_copies")
 def test_a_model_of_frames_is_upsampled_as_vectors(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -137,7 +124,6 @@ def test_a_model_of_frames_is_upsampled_as_vectors(
     assert "NeRM: its weights are gone" in result.missing
 
 
-@pytest.mark.usefixtures("without_copies")
 def test_a_run_that_has_learnt_detail_has_a_row_with_it(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

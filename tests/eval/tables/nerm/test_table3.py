@@ -12,7 +12,7 @@ import torch
 
 from eval.actions.published import StgcnNetwork
 from eval.actions.sets import with_rotations
-from eval.report.results import Result, read_result, to_markdown, write_result
+from eval.report.results import Result, to_markdown
 from eval.sets.sets import sample_set
 from eval.tables.nerm import table3
 from eval.text_motion.guo import GuoFiles
@@ -99,7 +99,6 @@ def test_a_model_that_obeys_scores_like_real_motion(
     by_action = {row.name: row for row in result.blocks[titles.index("Accuracy by action")].rows}
     assert set(by_action) == {"Nod (12)", "Shuffle_Left (12)", "Shuffle_Right (12)"}
     assert titles[-2:] == ["Printed in the NeRM paper for UESTC", "Printed in the NeRM paper for HumanAct12"]
-    assert read_result(write_result(result, tmp_path)).blocks[0].rows[1].name == "NeRM"
     text = to_markdown(result)
     assert "protocol 'a2m' counts 3,000 motions, here are 36" in text and "1.96 · variance" in text
 
@@ -107,11 +106,9 @@ def test_a_model_that_obeys_scores_like_real_motion(
 def test_a_model_that_does_something_else_is_found_out(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    honest = build(store, tmp_path / "a", run=with_model(monkeypatch, tmp_path / "a", actor()))
-    result = build(store, tmp_path / "b", run=with_model(monkeypatch, tmp_path / "b", actor(obeys=False)))
-    assert rows_of(result)["NeRM"]["Accuracy"] < 0.1
-    # All actions are still there, each under another's name: FID cannot see it, MultiModality neither.
-    assert rows_of(result)["NeRM"]["FID (test)"] == pytest.approx(rows_of(honest)["NeRM"]["FID (test)"], abs=3)
+    rows = rows_of(build(store, tmp_path, run=with_model(monkeypatch, tmp_path, actor(obeys=False))))
+    # All actions are still there, each under another's name: FID cannot see it.
+    assert rows["NeRM"]["Accuracy"] < 0.1 and rows["NeRM"]["FID (test)"] < 10
 
 
 class Choosy(ScriptedModel):
