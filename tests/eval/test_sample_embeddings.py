@@ -63,8 +63,7 @@ def test_answers_to_one_prompt_are_draws_and_multimodality() -> None:
     names = [f"{group}_{repeat}" for repeat in range(3) for group in "ab"]
     found = sample_embeddings(folder(names, ["walks", "sits"] * 3, ["a", "b"] * 3), real(), NATIVE, FIRST)
     assert [draw.motions[:, 0].tolist() for draw in found.draws] == [[10, 11], [12, 13], [14, 15]]
-    assert found.repeated is not None
-    assert found.repeated[..., 0].tolist() == [[10, 12, 14], [11, 13, 15]]
+    assert found.repeated is not None and found.repeated[..., 0].tolist() == [[10, 12, 14], [11, 13, 15]]
     # Captions of the real set keep their tokens.
     assert found.draws[0].texts.tolist() == [[5, 5], [4, 4]]
 
@@ -85,8 +84,7 @@ def test_samples_belong_to_real_motions_by_name_or_else_by_caption(
     names: list[str], captions: list[str], rows: list[int]
 ) -> None:
     found = sample_embeddings(folder(names, captions), real(), PAIRED, FIRST)
-    assert found.real_rows is not None and found.real_rows.tolist() == rows
-    assert len(found.draws[0].motions) == len(rows)
+    assert found.real_rows is not None and found.real_rows.tolist() == rows and len(found.draws[0].motions) == len(rows)
     assert ("left out" not in found.note) == (len(rows) == len(names))
     assert sample_embeddings(folder(names, captions), real(), NATIVE, FIRST).real_rows is None
 
