@@ -36,9 +36,7 @@ REFERENCE_FPS = 60.0
 MOST_DEVIATIONS = 5.0
 CLIPS_AT_ONCE = 256
 
-assert SMPL22.feet is not None
-FEET = (SMPL22.feet.left_ankle, SMPL22.feet.left_toe, SMPL22.feet.right_ankle, SMPL22.feet.right_toe)
-LEFT_HIP, RIGHT_HIP, LEFT_SHOULDER, RIGHT_SHOULDER = 1, 2, 16, 17
+FEET, LEFT_HIP, RIGHT_HIP, LEFT_SHOULDER, RIGHT_SHOULDER = (7, 10, 8, 11), 1, 2, 16, 17
 
 
 def motion_input(clips: Float[np.ndarray, "clips poses 22 3"], fps: float) -> Float32[Tensor, "clips poses channels"]:
@@ -91,11 +89,8 @@ class EvaluatorNetwork(nn.Module):
         self.register_buffer("scale", torch.ones(NUM_CHANNELS))
         self.convolutions = nn.Sequential(
             *(nn.Conv1d(NUM_CHANNELS, config.convolution, 4, 2, 1), nn.LeakyReLU(0.2)),
-            *(
-                nn.Conv1d(config.convolution, config.convolution, 4, 2, 1),
-                nn.LeakyReLU(0.2),
-                nn.Dropout(config.dropout),
-            ),
+            *(nn.Conv1d(config.convolution, config.convolution, 4, 2, 1), nn.LeakyReLU(0.2)),
+            nn.Dropout(config.dropout),
         )
         self.recurrent = nn.GRU(config.convolution, config.recurrent, batch_first=True, bidirectional=True)
         self.motion = nn.Sequential(
@@ -195,8 +190,7 @@ class NativeEvaluator:
         """One row per caption, in order. Raises `MotionkitError` if its text encoder is not available."""
         sentences = torch.from_numpy(self._encoder.encode([caption.text for caption in captions]))
         with torch.inference_mode():
-            embedded: Float64[np.ndarray, "texts shared"] = self.network.embed_texts(sentences).double().numpy()
-        return embedded
+            return np.asarray(self.network.embed_texts(sentences).double().numpy())
 
     @cached_property
     def _encoder(self) -> TextEncoder:

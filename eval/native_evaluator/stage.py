@@ -54,8 +54,6 @@ class TrainingConfig:
     def __post_init__(self) -> None:
         if not 0 < self.min_seconds <= self.max_seconds or self.max_poses < 8:
             raise ValueError("0 < min_seconds <= max_seconds, and max_poses of at least 8")
-        if self.temperature <= 0 or self.same_above <= 0:
-            raise ValueError("temperature and same_above must be positive")
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,7 @@ from motionkit.core.shapes import Float, Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import parse_fps
 from motionkit.fields.resample import resample_positions
-from motionkit.store.cache import PositionCache, cache_root, open_cache
-from motionkit.store.reader import Store
+from motionkit.store.cache import cache_root, open_cache
 from motionkit.training.config import to_plain
 from motionkit.training.loop import (
     Learner,
@@ -50,10 +49,7 @@ class ClipBank:
     def draw(
         self, rng: np.random.Generator, num_clips: int, num_poses: int
     ) -> tuple[Float32[np.ndarray, "clips poses 22 3"], Int64[np.ndarray, "clips"]]:
-        """Random clips, every place of a clip equally likely, and a random sentence of each.
-
-        `num_poses` is reduced to the longest motion's.
-        """
+        """Random clips of at most `num_poses` poses, every place equally likely, and a random sentence of each."""
         num_poses = min(num_poses, int(self.motions.num_frames.max()))
         places = np.cumsum(np.maximum(self.motions.num_frames - num_poses + 1, 0))
         place = rng.integers(places[-1], size=num_clips)
@@ -156,10 +152,9 @@ class EvaluatorTraining:
 
     def _draw(self, rng: np.random.Generator) -> tuple[Float[Tensor, "clips poses channels"], Tensor]:
         """Inputs of random clips, and their sentences' embeddings."""
-        training = self.config.training
-        bank = self.banks[int(rng.integers(len(self.banks)))]
-        num_poses = round(rng.uniform(training.min_seconds, training.max_seconds) * float(bank.fps))
-        num_poses = int(np.clip(num_poses, MIN_POSES, training.max_poses))
+        training, bank = self.config.training, self.banks[int(rng.integers(len(self.banks)))]
+        seconds = rng.uniform(training.min_seconds, training.max_seconds)
+        num_poses = int(np.clip(round(seconds * float(bank.fps)), MIN_POSES, training.max_poses))
         clips, rows = bank.draw(rng, self.config.schedule.batch_size, num_poses)
         return motion_input(clips, float(bank.fps)), self.sentences[torch.from_numpy(rows).to(self.device)]
 
@@ -172,7 +167,8 @@ def train_evaluator(stage: str, context: StageContext, config: EvaluatorConfig) 
     """
     store, training = context.open_store(), config.training
     cache = open_cache(store, layout=SMPL22.name, where=training.where or None)
-    captions = captions_of(store, cache)
+    rows = store.sequences_table["captions"].take(store.rows_of(cache.sequence_index)).to_pylist()
+    captions = [[Caption(**caption) for caption in some] for some in rows]
     rates = [Fraction(*rate) for rate in zip(cache.fps_numerator.tolist(), cache.fps_denominator.tolist(), strict=True)]
     folder = context.begin(stage, config, store_fingerprint=store.fingerprint)
     if not any(caption.text.strip() for some in captions for caption in some):
@@ -182,19 +178,11 @@ def train_evaluator(stage: str, context: StageContext, config: EvaluatorConfig) 
         return
     sequences = Ragged(cache.positions, cache.start_row, cache.num_frames.astype(np.int64))
     row_of: dict[str, int] = {}
-    found = [
-        build_bank(
-            sequences,
-            rates,
-            captions,
-            fps,
-            training.bank_seconds,
-            np.random.default_rng((context.seed, fps.numerator, fps.denominator)),
-            row_of,
-        )
-        for fps in map(parse_fps, training.framerates)
-    ]
-    banks = [bank for bank in found if bank is not None]
+    banks = []
+    for fps in map(parse_fps, training.framerates):
+        rng = np.random.default_rng((context.seed, fps.numerator, fps.denominator))
+        if bank := build_bank(sequences, rates, captions, fps, training.bank_seconds, rng, row_of):
+            banks.append(bank)
     if not banks:
         highest = float(max(rates))
         raise UsageError(
@@ -218,11 +206,5 @@ def train_evaluator(stage: str, context: StageContext, config: EvaluatorConfig) 
         "text_dimension": encoder.dimension,
     }
     save_tensors(folder.model_path, trainable.learner.trained_tensors(), header)
-    counts = {"sequences": len(sequences), "sentences": len(sentences), "fps": header["framerates"]}
-    folder.finish({**latest, "steps": trainable.steps, **counts})
-
-
-def captions_of(store: Store, cache: PositionCache) -> list[list[Caption]]:
-    """The captions of a cache's sequences."""
-    rows = store.sequences_table["captions"].take(store.rows_of(cache.sequence_index)).to_pylist()
-    return [[Caption(**caption) for caption in some] for some in rows]
+    counts = {"steps": trainable.steps, "sequences": len(sequences), "sentences": len(sentences)}
+    folder.finish({**latest, **counts, "fps": header["framerates"]})
