@@ -69,11 +69,11 @@ def ablate(
     configs = [variant.configure(base, overrides or []) for variant in stages]
     if where:
         configs = [narrowed((ablations.stages[first],), [config], where)[0] for config in configs]
-    place = store or default_path("store")
+    store = store or default_path("store")
     context = StageContext(
-        place, RunFolder(prefix), recipe, seed=seed, resume=not overwrite, overwrite=overwrite, device=device
+        store, RunFolder(prefix), recipe, seed=seed, resume=not overwrite, overwrite=overwrite, device=device
     )
-    read_manifest(place)  # fails for a missing store before anything is written
+    read_manifest(store)  # fails for a missing store before anything is written
     trained_runs = []
     for (variant, needed), config in zip(stages.items(), configs, strict=True):
         run_folder = run_of(prefix, variant, seed)

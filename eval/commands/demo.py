@@ -47,9 +47,9 @@ def demo(
     from motionkit.training.run import choose_stages
     from motionkit.training.text import load_text_encoder
 
-    names = {"corpus": "corpus", "store": "store", "run": "runs", "motions": "generated", "table": "results"}
-    names |= {"picture": "demo.png", "strips": "motions.png"}
-    places = {name: folder / place for name, place in names.items()}
+    places = {name: folder / name for name in ("corpus", "store")}
+    places |= {"run": folder / "runs", "motions": folder / "generated", "table": folder / "results"}
+    places |= {"picture": folder / "demo.png", "strips": folder / "motions.png"}
     size, table = (SMALLEST, SMALLEST_TABLE) if smallest else (FULL, FULL_TABLE)
     settings = flatten(choose_stages("denoiser")[0].recipe(RECIPE))
     load_text_encoder(str(settings["denoiser.conditions.text_encoder"]))  # fail now, not after minutes of training

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from eval.tables.table import EvalConfig, Table
 
 ALL = "all"
-SHOWN_PROBLEMS = 10
 REAL, EVALUATED, EVALUATOR = "Real motion", "What is evaluated", "Evaluator"
 CLIPS = "clip-FID (table 2, figures, --calibrate)"
 PROTOCOL = "Protocol of whole motions (tables 1 and 3)"
@@ -108,7 +107,7 @@ def evaluate(
     with progress() as show:
         config = replace(config, on_progress=show)
         for folder_of in config.sample_folders if any(each.takes_samples for each in tables.values()) else ():
-            for problem in folder_of.left_out[:SHOWN_PROBLEMS]:
+            for problem in folder_of.left_out[:10]:
                 stderr.print(f"left out of {folder_of.name!r}: {problem}")
         if own is None:
             stderr.print(f"there is no run {str(folder / run)!r}: only --samples have rows")
@@ -124,7 +123,6 @@ def evaluate(
         raise UsageError(f"{len(built)} of {len(tables)} were built. {reasons}")
     for reason in failed.values():
         raise reason
-    # A row without scores, or from fewer samples than there are, is no success.
     for result in built:
         shown = {row.name for block in result.blocks if block.metrics for row in block.rows if row.cells}
         if rowless := [name for name in config.samples if name not in shown]:

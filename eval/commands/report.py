@@ -14,10 +14,8 @@ from motionkit.core.files import default_path, write_whole
 from motionkit.core.progress import task
 
 if TYPE_CHECKING:
-    from eval.report.results import Result
     from motionkit.core.progress import OnProgress
 
-# Motions of a run in the page.
 NUM_CAPTIONS, FPS, SHORTEST_SHOWN_SECONDS, LONGEST_SHOWN_SECONDS = 2, Fraction(60), 2.0, 6.0
 
 
@@ -51,8 +49,19 @@ def report(
     elif format in printers:
         print_text("\n".join(printers[format](result) for result in found))
     elif format == "html":
+        from eval.report.curves import figure_of, run_card
+        from eval.report.results import to_html
+        from motionkit.store import Store
+        from motionkit.store.reports import summarise
+        from motionkit.viz.corpus_card import corpus_card
+
+        with progress() as show:
+            cards = [] if store is None else [corpus_card(summarise(Store.open(store)))]
+            places = [(runs or default_path("runs")) / name for name in run or ()]
+            cards += [run_card(each, [] if store is None else list(_motions(each, store, show))) for each in places]
+        figures = {number: figure for number, each in enumerate(found) if (figure := figure_of(each)) is not None}
         page = out or folder / "report.html"
-        write_whole(page, _page(found, store, [(runs or default_path("runs")) / name for name in run or ()]))
+        write_whole(page, to_html(found, cards=cards, figures=figures))
         print(page)
         stderr.print(f"{len(found)} results")
     elif format == "png":
@@ -64,22 +73,7 @@ def report(
     else:
         raise UsageError(f"there is no format {format!r}: html, png, {', '.join(printers)}")
     if faults:
-        total = len(faults) + len(found)
-        raise ResultError(f"{len(faults)} of {total} results in {str(folder)!r} could not be read (see above)")
-
-
-def _page(results: "list[Result]", store: Path | None, runs: list[Path]) -> str:
-    from eval.report.curves import figure_of, run_card
-    from eval.report.results import to_html
-    from motionkit.store import Store
-    from motionkit.store.reports import summarise
-    from motionkit.viz.corpus_card import corpus_card
-
-    with progress() as show:
-        cards = [] if store is None else [corpus_card(summarise(Store.open(store)))]
-        cards += [run_card(run, [] if store is None else list(_motions(run, store, show))) for run in runs]
-    figures = {number: figure for number, result in enumerate(results) if (figure := figure_of(result)) is not None}
-    return to_html(results, cards=cards, figures=figures)
+        raise ResultError(f"{len(faults)} of {len(faults) + len(found)} results in {str(folder)!r} cannot be read")
 
 
 def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, str]]:

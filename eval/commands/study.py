@@ -56,12 +56,11 @@ def make(
     if there and not overwrite:
         raise MotionkitError(f"{there[0]} exists: --overwrite replaces the page and its key, --out writes elsewhere")
     folder = None if run is None else (runs or default_path("runs")) / run
-    named = named_samples(samples or [], folder)
     options = SampleOptions(framerates(samples_fps, "--samples-fps")[0] if samples_fps else None)
     rates, missing = framerates(fps, "--fps"), Missing()
     with progress() as show:
         systems = []
-        for name, path in named.items():
+        for name, path in named_samples(samples or [], folder).items():
             with task(show, f"read {name}") as work:
                 read = read_sample_folder(name, path, options, work.set)
             for problem in read.left_out:

@@ -38,7 +38,6 @@ HINT = "run the evaluation again, or restore the file from a copy"
 Origin = Literal["ours", "reference", "paper"]
 DRAWING = "± over replications alone"
 DIFFERENCES = ": differences between rows"
-"""End of the title of a block that compares another block's rows."""
 
 
 class ResultError(MotionkitError):
