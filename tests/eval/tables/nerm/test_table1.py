@@ -218,7 +218,7 @@ def test_requests_that_mean_nothing(
 ) -> None:
     monkeypatch.setattr(table1, "load_evaluator", lambda run, stage: Shapes())
     with pytest.raises((UsageError, NoRealMotionError), match=message):
-        build(store, tmp_path / "results", None, **changes)
+        build(store, tmp_path / "results", tmp_path / "run", **changes)
 
 
 def test_an_evaluator_that_is_missing_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
