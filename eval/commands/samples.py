@@ -48,7 +48,7 @@ def samples(
 
 def _write_manifest(folder: Path, stated: Mapping[str, str | None]) -> None:
     """Write a new `samples.toml`: a template of explained comments, in which some keys are stated."""
-    from eval.sample_folder.manifest import MANIFEST
+    from eval.sample_folder.reading import MANIFEST
 
     path, text = folder / MANIFEST, (resources.files("eval.sample_folder") / MANIFEST).read_text(encoding="utf-8")
     if not folder.is_dir() or path.exists():
@@ -64,7 +64,7 @@ def _summary(folder: "SampleFolder") -> dict[str, Any]:
     """Counts and sizes of the motions that were read (`frames`: minimum, median, maximum), and problems of others."""
     import numpy as np
 
-    from eval.sample_folder.bodies import bone_lengths, some_poses
+    from eval.sample_folder.reading import bone_lengths, some_poses
 
     lengths, poses = folder.sequences.num_frames, some_poses(list(folder.sequences))
     actions = Counter(filter(None, folder.actions))

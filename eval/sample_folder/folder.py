@@ -167,47 +167,15 @@ def rows_by_name(sample_ids: Sequence[str], real_ids: Sequence[str]) -> list[int
     return [by_name.get(name, by_name.get(stem)) for name, stem in zip(sample_ids, stems, strict=True)]
 
 
-@dataclass(frozen=True)
-class TakesOfSamples:
-    """The real take of each motion of a folder, "" for none; all "" if neither names nor captions match."""
-
-    takes: tuple[str, ...]
-
-    @property
-    def num_without(self) -> int:
-        """Number of motions without a real take, in a folder where others have one."""
-        return self.takes.count("") if any(self.takes) else 0
-
-    def of_column(self, samples: SampleSet, real: SampleSet) -> SampleSet | None:
-        """The samples for a column's takes, each with its take and generation; None if there are none.
-
-        Without known takes, all samples; those of one prompt are then resampled together.
-        """
-        if not any(self.takes):
-            return replace(samples, takes=samples.groups)
-        wanted = set(real.sequence_ids)
-        chosen = [index for index, take in enumerate(self.takes) if take in wanted]
-        if not chosen:
-            return None
-        takes = tuple(self.takes[index] for index in chosen)
-        seen: dict[str, int] = defaultdict(int)
-        generations = []
-        for take in takes:
-            generations.append(seen[take])
-            seen[take] += 1
-        several = max(generations) > 0
-        return replace(samples.select(chosen), takes=takes, generations=tuple(generations) if several else ())
-
-
-def takes_of_samples(folder: SampleFolder, real: RealMotion) -> TakesOfSamples:
-    """Match by names if most of them are real sequences', else by captions.
+def takes_of_samples(folder: SampleFolder, real: RealMotion) -> tuple[str, ...]:
+    """The real take of each motion, "" for none: by names if most of them are real sequences', else by captions.
 
     Prompts with the same caption are assigned to its takes in turn, the fastest first, so that a single sample of a
     caption is used at as many framerates as possible. Samples of one prompt have one take.
     """
     named = rows_by_name(folder.sequence_ids, real.sequence_ids)
     if 2 * sum(row is not None for row in named) > len(named):
-        return TakesOfSamples(tuple("" if row is None else real.sequence_ids[row] for row in named))
+        return tuple("" if row is None else real.sequence_ids[row] for row in named)
     by_caption: dict[str, list[int]] = defaultdict(list)
     for row in sorted(range(len(real.fps)), key=lambda row: -real.fps[row]):
         if real.captions[row]:
@@ -219,4 +187,20 @@ def takes_of_samples(folder: SampleFolder, real: RealMotion) -> TakesOfSamples:
         if takes and group not in take_of_group:
             take_of_group[group] = real.sequence_ids[takes[answered[caption] % len(takes)]]
             answered[caption] += 1
-    return TakesOfSamples(tuple(take_of_group.get(group, "") for group in folder.groups))
+    return tuple(take_of_group.get(group, "") for group in folder.groups)
+
+
+def samples_of_takes(samples: SampleSet, takes: Sequence[str], real: SampleSet) -> SampleSet | None:
+    """The samples for a column's takes, each with its take and generation; None if there are none.
+
+    Without known takes, all samples; those of one prompt are then resampled together.
+    """
+    if not any(takes):
+        return replace(samples, takes=samples.groups)
+    compared = set(real.sequence_ids)
+    chosen = [index for index, take in enumerate(takes) if take in compared]
+    own = tuple(takes[index] for index in chosen)
+    generations = tuple(own[:number].count(take) for number, take in enumerate(own))
+    return (
+        replace(samples.select(chosen), takes=own, generations=generations if any(generations) else ()) if own else None
+    )

@@ -5,28 +5,279 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePath
+from typing import Any
 
 import numpy as np
 
-from eval.sample_folder import bodies
 from eval.sample_folder.arrays import StoredMotion, read_stored
 from eval.sample_folder.folder import SampleFolder, SampleFolderError, SampleMotion, left_out_line
-from eval.sample_folder.manifest import MANIFEST, Manifest, read_manifest, read_prompts
-from motionkit.core.errors import FormatError
-from motionkit.core.files import whole_number
+from motionkit.core.errors import FormatError, describe, shown
+from motionkit.core.files import parse_toml, whole_number
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float32
+from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import KIT21, SMPL22
-from motionkit.core.skeletons.mapping import SkeletonMapError, map_joints
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints
+from motionkit.core.timegrid import TimeGrid, parse_fps
+from motionkit.features.layout import layout_of
 from motionkit.features.statistics import Statistics
 from motionkit.io import annotations, humanml3d, joints_npy, npy, source_file, texts
+from motionkit.io.body_frame import (
+    GIVEN_AXES,
+    TRUNK_AND_LEGS,
+    TYPICAL_HEIGHT_METRES,
+    UNITS,
+    infer_up,
+    is_plausible,
+    log_lines,
+    to_y_up,
+)
 from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.io.scan import read, scan
+
+MANIFEST = "samples.toml"
+RAW, NORMALISED = "raw", "normalised"
+CHOICES = {"up": GIVEN_AXES, "statistics": (RAW, NORMALISED)}
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """A folder's `samples.toml`; every key is optional if the files state it.
+
+    `files` and `exclude` are globs below the folder. `fps` and `unit_metres` override the files; `up` is the vertical
+    axis. `statistics` is `raw` or `normalised` for pose vectors, `mean` and `std` the .npy files they were normalised
+    with. `prompts` is a text file whose line k (from 0) is the caption of group k.
+    """
+
+    files: tuple[str, ...] = ()
+    exclude: tuple[str, ...] | None = None
+    fps: Fraction | None = None
+    unit_metres: float | None = None
+    up: str = ""
+    statistics: str = ""
+    mean: Path | None = None
+    std: Path | None = None
+    prompts: Path | None = None
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read `folder/samples.toml`, whose paths may not leave the folder; an absent one is like an empty one.
+
+    Raises `FormatError` (`manifest`).
+    """
+    path = folder / MANIFEST
+    if not path.is_file() or not path.stat().st_size:
+        return Manifest()
+
+    def fault(message: str) -> FormatError:
+        return FormatError(message[:400], path=path, reason="manifest")
+
+    try:
+        stated = parse_toml(source_file.decode(source_file.read_bytes(path), path))
+    except ValueError as error:
+        raise fault(f"not TOML ({error})") from None
+    known = [field.name for field in fields(Manifest)]
+    values: dict[str, Any] = {}
+    for key, value in stated.items():
+        if key not in known:
+            raise fault(f"unknown key {shown(key)}, expected any of {', '.join(known)}")
+        try:
+            values[key] = _value(key, value, folder)
+        except (ValueError, TypeError, OSError) as error:
+            raise fault(f"{key} = {shown(value)}: {describe(error)}") from None
+    manifest = Manifest(**values)
+    if (manifest.statistics == NORMALISED) != (manifest.mean is not None and manifest.std is not None):
+        raise fault(
+            'statistics = "normalised" needs mean = "….npy" and std = "….npy", the files that the model was '
+            "trained with, and they need it"
+        )
+    return manifest
+
+
+def _value(key: str, value: Any, folder: Path) -> Any:
+    """The value of one key; raises `ValueError`, `TypeError` or `OSError` that says what was expected."""
+    match key:
+        case "fps":
+            if type(value) not in (int, float, str):
+                raise TypeError('expected a framerate such as 20, 12.5 or "30000/1001"')
+            return parse_fps(value)
+        case "unit_metres":
+            if type(value) not in (int, float) or not 0 < value < 1e6:
+                raise TypeError("expected the length of the files' unit in metres, such as 0.01")
+            return float(value)
+        case "files" | "exclude":
+            globs = [value] if isinstance(value, str) else value
+            if not isinstance(globs, list) or not all(isinstance(glob, str) and glob for glob in globs):
+                raise TypeError('expected a glob or a list of globs, such as ["*_pred.npy"]')
+            # A glob matches the end of a path, whatever the folders before it.
+            globs = [glob.removeprefix("**/") for glob in globs]
+            for glob in globs:
+                PurePath().match(glob)  # raises ValueError for an empty one
+            return tuple(globs)
+        case "up" | "statistics":
+            if value not in CHOICES[key]:
+                raise ValueError(f"expected {' or '.join(map(repr, CHOICES[key]))}")
+            return value
+    if not isinstance(value, str):
+        raise TypeError("expected the name of a file in this folder")
+    path = Path(os.path.normpath(folder / value))
+    if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
+        raise ValueError("leaves the folder; copy the file here")
+    if not path.is_file():
+        raise ValueError("there is no such file in this folder; copy it here")
+    return path
+
+
+def read_prompts(path: Path) -> tuple[str, ...]:
+    """Captions of a text file, one per line; text after a `#` (a length, HumanML3D's tokens) is dropped."""
+    lines = source_file.decode(source_file.read_bytes(path), path).splitlines()
+    return tuple(line.split("#")[0].strip() for line in lines)
+
+
+POSES_PER_MOTION = 8
+MOST_BONE_VARIATION = 0.25
+STILL_METRES, PADDED_SECONDS = 1e-4, 0.5
+# Smaller variations of the root's velocity (metres per frame) are not used for the check.
+LEAST_STEP_METRES = 0.004
+MOST_DISAGREEMENT = 4.0
+STATE_STATISTICS = (
+    f'write into {MANIFEST} either statistics = "raw", or statistics = "normalised" with mean = "mean.npy" and std = '
+    '"std.npy", copies of the files that the model was trained with'
+)
+
+
+def some_poses(
+    sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]],
+) -> Float32[np.ndarray, "motions poses joints 3"]:
+    """A few poses of each motion, evenly spaced."""
+    share = np.linspace(0, 1, POSES_PER_MOTION)
+    return np.stack([each[np.rint(share * (len(each) - 1)).astype(np.int64)] for each in sequences])
+
+
+def bone_lengths(joints: Float[np.ndarray, "*batch 22 3"]) -> Float[np.ndarray, "*batch bones"]:
+    """Lengths of the bones from the ankles to the head; their sum is 1.45 m for an average person."""
+    first, second = np.array([(SMPL22.index(a), SMPL22.index(b)) for a, b in TRUNK_AND_LEGS]).T
+    return np.asarray(np.linalg.norm(joints[..., first, :] - joints[..., second, :], axis=-1))
+
+
+def _variation(bones: Float[np.ndarray, "*batch poses bones"]) -> float:
+    """Median over the bones of std ÷ mean of a bone's length; 0 for a rigid body."""
+    return float(np.median(bones.std(axis=-2) / np.maximum(bones.mean(axis=-2), 1e-9)))
+
+
+def body_faults(name: str, motions: Sequence[SampleMotion]) -> dict[int, str]:
+    """A message for each motion whose body is not of a person's size.
+
+    Raises `SampleFolderError` if the bones of the others do not keep their lengths.
+    """
+    bones = bone_lengths(some_poses([motion.positions for motion in motions]))
+    sizes = np.median(bones.sum(axis=-1), axis=1).tolist()
+    faults = {index: _size_message(metres) for index, metres in enumerate(sizes) if not is_plausible(metres)}
+    kept = np.delete(bones, list(faults), axis=0)
+    if len(kept) and (variation := _variation(kept)) > MOST_BONE_VARIATION:
+        raise SampleFolderError(
+            f"--samples {name}: the bones' lengths vary by {100 * variation:.0f} % within a motion, so these are no "
+            "positions of the 22 SMPL (or 21 KIT) joints in their order (docs/samples.md)"
+        )
+    return faults
+
+
+def _size_message(metres: float) -> str:
+    units = {**UNITS, "KIT-ML's unit": humanml3d.KIT.unit_metres}
+    name = min(units, key=lambda name: abs(np.log(max(metres * units[name], 1e-30) / TYPICAL_HEIGHT_METRES)))
+    in_unit, advice = metres * units[name], f"unit_metres = {units[name]:.6g} in {MANIFEST}"
+    return f"a body measures {metres:.3g} m from ankle to head, people {TYPICAL_HEIGHT_METRES} m; " + (
+        f"in {name} it would be {in_unit:.2f} m: {advice}" if is_plausible(in_unit) else "no usual unit explains it"
+    )
+
+
+def upright(motions: Sequence[SampleMotion], up: str) -> tuple[list[SampleMotion], str]:
+    """Motions rotated so that most bodies stand along +y, with a remark; `up` is the axis, or "" to infer it.
+
+    All motions are rotated alike, since a lying body does not show the axes. Rotated ones lose their pose vectors and
+    KIT joints, which have y up by definition.
+    """
+    if motions and not up:
+        poses = some_poses([motion.positions for motion in motions]).reshape(-1, SMPL22.num_joints, 3)
+        up = infer_up(SMPL22, poses, ("y", "z", "-y"))
+    if up in ("", "y"):
+        return list(motions), ""
+    turned = [
+        replace(motion, positions=to_y_up(motion.positions, up).astype(np.float32), vectors=None, kit_joints=None)
+        for motion in motions
+    ]
+    return turned, log_lines(up)[0]
+
+
+def padding_remark(motions: Sequence[SampleMotion]) -> tuple[str, ...]:
+    """A remark if motions end in a pose that is frozen for half a second or more, which may be padding."""
+    frozen = []
+    for motion in motions:
+        steps = np.abs(np.diff(motion.positions - motion.positions[:, :1], axis=0)).max(axis=(1, 2))
+        moved = np.flatnonzero(steps > STILL_METRES)
+        seconds = (len(steps) - 1 - moved[-1]) / float(motion.fps) if len(moved) else 0.0
+        if seconds >= PADDED_SECONDS:
+            frozen.append(seconds)
+    if not frozen:
+        return ()
+    return (
+        f"{len(frozen):,} motions end in a frozen pose ({np.median(frozen):.1f} s in the median): if that is "
+        "padding, state their num_frames in a CSV beside them",
+    )
+
+
+def published_layout(num_values: int) -> humanml3d.Layout:
+    """HumanML3D's layout for 263 numbers, KIT-ML's for 251."""
+    return next(layout for layout in humanml3d.LAYOUTS.values() if layout.num_values == num_values)
+
+
+def check_vectors(
+    name: str, stored: Float[np.ndarray, "rows numbers"], restored: Float[np.ndarray, "rows numbers"], statistics: str
+) -> None:
+    """Raise `SampleFolderError` if the stated statistics contradict pose vectors as stored and as restored.
+
+    Raw vectors that are said to be normalised, or the reverse, make no body. Statistics of another convention (the
+    published evaluators weight root numbers 25-fold) make the root's own velocity disagree with its joint's.
+    """
+    what = f"--samples {name}: {stored.shape[1]}-number pose vectors are said to be {statistics}, but"
+
+    def makes_body(vectors: Float[np.ndarray, "rows numbers"]) -> bool:
+        bones = bone_lengths(_local_joints(vectors))
+        return is_plausible(float(np.median(bones.sum(axis=-1)))) and _variation(bones) <= MOST_BONE_VARIATION
+
+    if statistics == NORMALISED and makes_body(stored):
+        raise SampleFolderError(f"{what} as they are they make a body, so they look raw; {STATE_STATISTICS}")
+    if not makes_body(restored):
+        raise SampleFolderError(
+            f"{what} they make no body: they are of another dataset or convention; {STATE_STATISTICS}"
+        )
+    layout = published_layout(stored.shape[1])
+    slices = layout_of(layout.skeleton.num_joints).vector
+    first = slices.joint_velocities.start
+    own, joint = (
+        float(np.linalg.norm(restored[:, columns].std(axis=0, dtype=np.float64))) * layout.unit_metres
+        for columns in (slices.root_velocity, [first, first + 2])
+    )
+    if max(own, joint) > LEAST_STEP_METRES and not joint / MOST_DISAGREEMENT < own < joint * MOST_DISAGREEMENT:
+        raise SampleFolderError(
+            f"{what} the root's own velocity varies {own:.2g} m a frame, and its joint's {joint:.2g}. The published "
+            "evaluators' statistics weight root numbers 25-fold, those of Mean.npy and Std.npy do not: normalise and "
+            "restore with the same files"
+        )
+
+
+def _local_joints(vectors: Float[np.ndarray, "rows numbers"]) -> Float32[np.ndarray, "rows 22 3"]:
+    """Poses in metres, without their path."""
+    layout = published_layout(vectors.shape[1])
+    slices = layout_of(layout.skeleton.num_joints).vector
+    joints = np.zeros((len(vectors), layout.skeleton.num_joints, 3), dtype=np.float32)
+    joints[:, 1:] = vectors[:, slices.joint_positions].reshape(len(vectors), -1, 3)
+    joints[:, 0, 1] = vectors[:, slices.root_height][:, 0]
+    return np.asarray(joint_map(layout.skeleton, SMPL22.name).weights @ joints * np.float32(layout.unit_metres))
+
 
 ARRAY_SUFFIXES = (".npy", ".npz")
 STATISTICS_NAMES = frozenset({"mean", "std"})
@@ -80,23 +331,25 @@ def read_sample_folder(
             on_read(number, len(listing.arrays) + len(listing.items))
 
     # Other formats than plain arrays are turned when they are read.
-    arrays, remark = bodies.upright(list(motions_of(listing.arrays, 0)), reader.up)
+    arrays, remark = upright(list(motions_of(listing.arrays, 0)), reader.up)
     motions = [*arrays, *motions_of(listing.items, len(listing.arrays))]
     if not motions:
         raise SampleFolderError(f"--samples {name}: no motion can be read: {left_out_line(left_out, 0)}")
-    reader.check_vectors()
-    faults = bodies.body_faults(name, motions)
-    for index, message in faults.items():
-        motion = motions[index]
-        place = listing.place(motion.path)
-        which = "" if motion.sequence_id == place else f"motion {motion.sequence_id.removeprefix(f'{place}/')}: "
-        left_out.append(FormatError(which + message, path=motion.path, reason="body-size"))
+    for rows in reader.vectors.values():
+        stored = np.concatenate(rows)
+        stored = stored[:: -(-len(stored) // CHECKED_ROWS)]
+        check_vectors(name, stored, reader.restored(stored), listing.manifest.statistics)
+    faults = body_faults(name, motions)
+    left_out += [
+        FormatError(f"{motions[index].sequence_id}: {message}", path=motions[index].path, reason="body-size")
+        for index, message in faults.items()
+    ]
     motions = [motion for index, motion in enumerate(motions) if index not in faults]
     if not motions:
         raise SampleFolderError(f"--samples {name}: no motion is a body: {left_out_line(left_out, 0)}")
     padded = f"of {reader.num_trimmed:,} motions the last frames, all zeros, were dropped"
     remarks = [*listing.remarks, *([padded] if reader.num_trimmed else []), *([remark] if remark else [])]
-    return SampleFolder.of(name, motions, left_out, (*remarks, *bodies.padding_remark(motions)))
+    return SampleFolder.of(name, motions, left_out, (*remarks, *padding_remark(motions)))
 
 
 @dataclass(frozen=True)
@@ -209,13 +462,6 @@ class _Reader:
         except SkeletonMapError as problem:
             yield FormatError(str(problem), path=path, reason="skeleton")
 
-    def check_vectors(self) -> None:
-        """Raise `SampleFolderError` if the pose vectors contradict what is said of them."""
-        for rows in self.vectors.values():
-            stored = np.concatenate(rows)
-            stored = stored[:: -(-len(stored) // CHECKED_ROWS)]
-            bodies.check_vectors(self.name, stored, self._restored(stored), self.manifest.statistics)
-
     def _of_format(self, item: SourceItem) -> SampleMotion:
         options = ReadOptions(fps=self.manifest.fps, unit_metres=self.manifest.unit_metres, up=self.up)
         motion, row = read(item, options), self.listing.rows.get(item.path, {})
@@ -237,7 +483,7 @@ class _Reader:
         row, beside = self.listing.rows.get(path, {}), self._beside(path.parent)
         numbers = self._trimmed(stored.numbers[: row.get("num_frames")], path)
         numbers = npy.checked_numbers(numbers, path, "" if stored.index is None else f"motion {stored.index}")
-        layout = bodies.published_layout(numbers.shape[1]) if numbers.ndim == 2 else None
+        layout = published_layout(numbers.shape[1]) if numbers.ndim == 2 else None
         fps = self.manifest.fps or row.get("fps") or stored.fps or beside.fps or self.options.fps
         fps = fps or (layout.fps if layout else None)
         if fps is None:
@@ -245,7 +491,7 @@ class _Reader:
             raise FormatError(f"{message} (HumanML3D's models have 20, KIT-ML's 12.5)", path=path, reason="framerate")
         if layout:
             self.vectors[layout.num_values].append(numbers)
-            vectors = self._restored(numbers)
+            vectors = self.restored(numbers)
             positions = humanml3d.recover_positions(vectors, layout.skeleton.num_joints)
         else:
             # The hands of SMPL's 24 and SMPL-H's 52 joints are dropped.
@@ -281,7 +527,7 @@ class _Reader:
         self.num_trimmed += 1
         return numbers[: kept[-1] + 1]
 
-    def _restored(self, numbers: np.ndarray) -> Float32[np.ndarray, "frames numbers"]:
+    def restored(self, numbers: np.ndarray) -> Float32[np.ndarray, "frames numbers"]:
         """Pose vectors in their own units."""
         statistics = self._statistics(numbers.shape[1])
         return numbers if statistics is None else statistics.restore(numbers)
@@ -290,7 +536,7 @@ class _Reader:
         """The statistics that the manifest names; None for raw vectors. Raises `SampleFolderError`."""
         what = f"--samples {self.name}: {width}-number pose vectors"
         if not self.manifest.statistics:
-            raise SampleFolderError(f"{what}, and nothing says whether they are normalised; {bodies.STATE_STATISTICS}")
+            raise SampleFolderError(f"{what}, and nothing says whether they are normalised; {STATE_STATISTICS}")
         files = [path for path in (self.manifest.mean, self.manifest.std) if path is not None]
         try:
             numbers = [npy.read_npy(path, source_file.read_bytes(path), (width,)).astype(np.float64) for path in files]

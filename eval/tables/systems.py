@@ -13,7 +13,7 @@ from eval.detail import LEAST_FPS, RealDetail
 from eval.detail import VERSION as DETAIL_VERSION
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, pairs_of
-from eval.sample_folder.folder import takes_of_samples
+from eval.sample_folder.folder import samples_of_takes, takes_of_samples
 from eval.sets import motions
 from eval.sets.motions import NoRealMotionError, RealMotion, Window
 from eval.sets.sets import REAL, TRAINING_TAKES, Missing, RowId, SampleSet, Variant, check_sample_names
@@ -262,9 +262,9 @@ def samples_at(real: RealMotion, fps: Fraction, config: EvalConfig) -> dict[RowI
         with task(config.on_progress, f"{folder.name}, {label(fps)}"):
             every = folder.at(fps)
         takes = takes_of_samples(folder, real)
-        if takes.num_without:
-            config.missing.add(f"{folder.name}: {takes.num_without:,} motions are for none of the compared takes")
-        found = takes.of_column(every, real.at(fps))
+        if any(takes) and "" in takes:
+            config.missing.add(f"{folder.name}: {takes.count(''):,} motions are for none of the compared takes")
+        found = samples_of_takes(every, takes, real.at(fps))
         if found is None:
             config.missing.add(f"{folder.name}, {label(fps)}: {NOT_SO_FAST}")
         else:

@@ -10,7 +10,7 @@ import pytest
 
 import motionkit as mk
 from eval.commands.samples import samples as command
-from eval.sample_folder.manifest import Manifest, read_manifest
+from eval.sample_folder.reading import Manifest, read_manifest
 from motionkit.core.errors import MotionkitError
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import humanml3d

@@ -9,7 +9,7 @@ import pytest
 
 from eval.sample_folder import SampleFolder, SampleFolderError, SampleOptions, read_sample_folder
 from eval.sample_folder.arrays import read_stored, split_motions
-from eval.sample_folder.manifest import read_manifest
+from eval.sample_folder.reading import read_manifest
 from motionkit.core.errors import FormatError
 from motionkit.core.moments import moments
 from motionkit.features.layout import vector_layout
@@ -197,7 +197,7 @@ def test_broken_motions_are_left_out_by_name(tmp_path: Path) -> None:
         **{"e.npy": ("no-frames", None), "f.npy": ("truncated", None), "h.npy": ("nan", 7)},
         **{"i.npy": ("body-size", None), "j.npy": ("body-size", None)},
     }
-    assert found["j.npy"].message.startswith("motion 0001: ")
+    assert found["j.npy"].message.startswith("j/0001: ")
     assert "9 of 12 motions left out" in samples.describe()
 
 
