@@ -6,7 +6,7 @@ White noise has energy and no timing, noise that is timed bends bones or is too 
 energy nor timing: what wins one figure is seen by another (docs/metrics.md).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -15,18 +15,22 @@ from itertools import pairwise
 import numpy as np
 import scipy.ndimage
 
-from eval.clip_fid.descriptor import (
+from eval.clip_fid.score import (
     FOOT_JOINTS,
     GROUP_MEANS,
     NUM_GROUPS,
     SLOW_BANDS,
+    Band,
+    ClipError,
+    Motions,
     Signal,
     Spectrum,
     in_threads,
+    lengths_of,
     noise_power,
     rate_of_change,
+    samples_at_one_framerate,
 )
-from eval.clip_fid.score import ClipError, Motions, samples_at_one_framerate
 from eval.metrics.number import Resampling, units_of
 from eval.sets.sets import SampleSet
 from motionkit.core.errors import UsageError
@@ -61,7 +65,7 @@ LEAST_SEEN_MM = 0.05
 """Change of bones that resampling a capture makes."""
 SUDDEN_JOINTS = (*FOOT_JOINTS, 0, 20, 21)
 PARENTS = list(SMPL22.parents[1:])
-Band = tuple[float, float]
+Weights = Float64[np.ndarray, "channels timed"]
 
 
 def bands_at(fps: Fraction) -> tuple[Band, ...]:
@@ -70,39 +74,6 @@ def bands_at(fps: Fraction) -> tuple[Band, ...]:
     return tuple(
         (low, min(high, nyquist)) for low, high in pairwise(BAND_EDGES_HZ) if nyquist - low >= (high - low) / 2
     )
-
-
-def num_timed(fps: Fraction) -> int:
-    """Number of bands, from the lowest, whose timing counts."""
-    return sum(low < TIMED_BELOW_HZ for low, _ in bands_at(fps))
-
-
-@dataclass(frozen=True, eq=False)
-class Predictor:
-    """Log power of joint groups at 12 to 27 Hz from motion below 6 Hz: linear, fitted on training motion at one fps.
-
-    `weights` map steady and sudden channels to deviations of log power from its mean over a second.
-    """
-
-    fps: Fraction
-    weights: Float64[np.ndarray, "channels timed"]
-
-
-def fit_predictor(training: SampleSet) -> Predictor:
-    """Ridge regression on the part of the sudden channels that the steady ones do not explain.
-
-    Speed alone would be a good predictor, but noise that is added where joints are fast follows speed too.
-    """
-    motions = list(in_threads(partial(_channels, fps=training.fps), training.sequences))
-    steady, sudden, timed = (
-        np.concatenate([getattr(motion, name) for motion in motions]) for name in ("steady", "sudden", "timed")
-    )
-    steady_scale, sudden_scale = (1.0 / (values.std(axis=0) + 1e-9) for values in (steady, sudden))
-    steady, sudden = steady * steady_scale, sudden * sudden_scale
-    shared = _ridge(steady, sudden, STEADY_RIDGE)
-    weights = _ridge(sudden - steady @ shared, timed, RIDGE)
-    weights = np.concatenate((-steady_scale[:, None] * (shared @ weights), sudden_scale[:, None] * weights))
-    return Predictor(training.fps, weights)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,21 +100,35 @@ class MotionFigures:
         return np.concatenate((slope[:, None], energy, self.bones_mm[middle, None]), axis=1)
 
 
-def measure(samples: SampleSet, predictor: Predictor) -> MotionFigures:
-    """The figures of every motion of a set, at the predictor's framerate."""
-    if samples.fps != predictor.fps:
-        raise ValueError(f"this predictor was fitted at {predictor.fps} fps; {samples.name} is at {samples.fps} fps")
-    found = list(in_threads(partial(_figures, predictor=predictor), samples.sequences))
-    return MotionFigures(*(np.array(each) for each in zip(*found, strict=True)))
+def _fitted_on(training: SampleSet) -> tuple[Weights, MotionFigures]:
+    """The weights that predict timing, and the figures of the motions that they were fitted on.
+
+    Sudden motion explains what steady motion does not. Speed alone would be a good predictor, but noise that is added
+    where joints are fast follows speed too.
+    """
+    motions = _channels_of(training)
+    steady, sudden, timed = (
+        np.concatenate([getattr(motion, name) for motion in motions]) for name in ("steady", "sudden", "timed")
+    )
+    steady_scale, sudden_scale = (1.0 / (values.std(axis=0) + 1e-9) for values in (steady, sudden))
+    steady, sudden = steady * steady_scale, sudden * sudden_scale
+    shared = _ridge(steady, sudden, STEADY_RIDGE)
+    weights = _ridge(sudden - steady @ shared, timed, RIDGE)
+    weights = np.concatenate((-steady_scale[:, None] * (shared @ weights), sudden_scale[:, None] * weights))
+    return weights, _figures(motions, weights)
 
 
-def _figures(
-    positions: Float32[np.ndarray, "frames joints 3"], predictor: Predictor
-) -> tuple[float, Float64[np.ndarray, "2"], Float64[np.ndarray, "bands"], float]:
-    motion = _channels(positions, predictor.fps)
-    prediction = np.concatenate((motion.steady, motion.sudden), axis=1) @ predictor.weights
-    timing = np.array([(motion.timed * prediction).sum(), np.square(prediction).sum()])
-    return float(len(positions)), timing, motion.log_power.sum(axis=0), motion.bones_mm
+def _figures(motions: Sequence["_Channels"], weights: Weights) -> MotionFigures:
+    timing = []
+    for motion in motions:
+        prediction = np.concatenate((motion.steady, motion.sudden), axis=1) @ weights
+        timing.append([(motion.timed * prediction).sum(), np.square(prediction).sum()])
+    return MotionFigures(
+        num_frames=np.array([float(len(motion.timed)) for motion in motions]),
+        timing=np.array(timing),
+        log_power=np.array([motion.log_power.sum(axis=0) for motion in motions]),
+        bones_mm=np.array([motion.bones_mm for motion in motions]),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,29 +146,34 @@ class _Channels:
     bones_mm: float
 
 
+def _channels_of(samples: SampleSet) -> list[_Channels]:
+    return list(in_threads(partial(_channels, fps=samples.fps), samples.sequences, len(samples.sequences.values)))
+
+
 def _channels(positions: Float32[np.ndarray, "frames joints 3"], fps: Fraction) -> _Channels:
     rate, bands, num = float(fps), bands_at(fps), len(positions)
+    num_timed = sum(low < TIMED_BELOW_HZ for low, _ in bands)
     spectrum = Spectrum.of(positions.reshape(num, -1).astype(np.float64), rate)
 
     def envelopes(bands: tuple[Band, ...]) -> Float64[np.ndarray, "frames bands groups"]:
-        power = [np.square(spectrum.acceleration(band)) @ GROUP_MEANS for band in bands]
+        power = [spectrum.power(band) for band in bands]
         return smoothed(np.concatenate(power, axis=1), ENVELOPE_SECONDS, rate).reshape(num, len(bands), NUM_GROUPS)
 
     slow = spectrum.below(PREDICTED_FROM_HZ).reshape(positions.shape)
     velocity = rate_of_change(slow, rate)
     acceleration = rate_of_change(velocity, rate)
-    speed, jerk = (np.linalg.norm(each, axis=-1) for each in (velocity, rate_of_change(acceleration, rate)))
+    speed, jerk = lengths_of(velocity), lengths_of(rate_of_change(acceleration, rate))
     log_speed, group_means = np.log(speed + SPEED_FLOOR), GROUP_MEANS[::3]
     slow_power = np.log(envelopes(SLOW_BANDS[:2]) + noise_power(SLOW_BANDS[:2], SLOW_NOISE_METRES)[:, None])
     fast = envelopes(bands)
-    timed = np.log(fast + noise_power(bands, TIMING_NOISE_METRES)[:, None])[:, : num_timed(fps)]
+    timed = np.log(fast + noise_power(bands, TIMING_NOISE_METRES)[:, None])[:, :num_timed]
     steady = (slow_power.reshape(num, -1), log_speed @ group_means, (speed / (speed + FAST_SPEED)) @ group_means)
     sudden = (
         log_speed[:, FOOT_JOINTS],
         np.arctan(velocity[:, FOOT_JOINTS, 1] / VELOCITY_SCALE),
         np.arctan(acceleration[:, SUDDEN_JOINTS, 1] / ACCELERATION_SCALE),
         _near_the_floor(slow, velocity, acceleration),
-        np.log(np.linalg.norm(acceleration, axis=-1) + ACCELERATION_FLOOR) @ group_means,
+        np.log(lengths_of(acceleration) + ACCELERATION_FLOOR) @ group_means,
         np.log(jerk + JERK_FLOOR) @ group_means,
     )
     return _Channels(
@@ -205,13 +195,13 @@ def _near_the_floor(
     near = np.exp(-np.maximum(feet - np.percentile(feet, 5, axis=0), 0.0) / NEAR_METRES)
     falling = np.log1p(np.maximum(-velocity[:, FOOT_JOINTS, 1], 0.0) / FALLING_SPEED)
     braking = np.log1p(np.maximum(acceleration[:, FOOT_JOINTS, 1], 0.0) / BRAKING_ACCELERATION)
-    moving = np.log1p(np.linalg.norm(velocity[:, FOOT_JOINTS], axis=-1) / FALLING_SPEED)
+    moving = np.log1p(lengths_of(velocity[:, FOOT_JOINTS]) / FALLING_SPEED)
     return np.concatenate((near * falling, near * braking, near * moving), axis=1)
 
 
 def _bones_mm(positions: Float32[np.ndarray, "frames joints 3"], rate: float) -> float:
     """Root mean square over frames and bones of bone lengths above 8 Hz, in mm."""
-    lengths = np.linalg.norm(positions[:, 1:].astype(np.float64) - positions[:, PARENTS], axis=-1)
+    lengths = lengths_of(positions[:, 1:].astype(np.float64) - positions[:, PARENTS])
     fast = lengths - Spectrum.of(lengths, rate).below(BONES_ABOVE_HZ)
     return 1000.0 * float(np.sqrt(np.mean(np.square(fast))))
 
@@ -291,12 +281,14 @@ class DetailProfile:
 class RealDetail:
     """The real side of a profile, for any number of sets at one framerate.
 
-    `ranges` [2, figures] are those of `Figure.real_range`.
+    `weights` predict log power of joint groups at 12 to 27 Hz from motion below 6 Hz: linear, from steady and sudden
+    channels to deviations from the mean over a second, fitted on training motion. `known` are the figures of the real
+    and the training motions, `ranges` [2, figures] those of `Figure.real_range`.
     """
 
-    predictor: Predictor
     real: SampleSet
-    figures: MotionFigures
+    weights: Weights
+    known: Mapping[SampleSet, MotionFigures]
     ranges: Float64[np.ndarray, "2 figures"] | None
     resampling: Resampling
 
@@ -308,27 +300,30 @@ class RealDetail:
         """
         if real.fps < LEAST_FPS:
             raise UsageError(f"the detail profile needs {LEAST_FPS} fps or more, these motions have {real.fps} fps")
-        predictor = fit_predictor(train)
-        figures = measure(real, predictor)
+        weights, of_training = _fitted_on(train)
+        figures = of_training if real is train else _figures(_channels_of(real), weights)
         if not figures.timing[:, 0].sum():
             raise ClipError(f"{real.name} at {real.fps} fps: no fast motion follows slow motion; is it frozen?")
-        return cls(predictor, real, figures, _ranges_of_halves(figures, real, seed), Resampling(seed=seed))
+        known = {train: of_training, real: figures}
+        return cls(real, weights, known, _ranges_of_halves(figures, real, seed), Resampling(seed=seed))
 
     @property
     def real_slope(self) -> float:
         """Real motion's own timing: about 1 on the motions that the predictor was fitted on, less on others."""
-        return float(self.figures.averages(np.ones((1, self.real.num_sequences)))[0, 0])
+        return float(self.known[self.real].averages(np.ones((1, self.real.num_sequences)))[0, 0])
 
     def profile(self, samples: SampleSet) -> DetailProfile:
-        """The profile of one set at this framerate."""
-        figures = self.figures if samples is self.real else measure(samples, self.predictor)
+        """The profile of one set; raises `ValueError` for another framerate."""
+        if samples.fps != self.real.fps:
+            raise ValueError(f"these profiles are at {self.real.fps} fps; {samples.name} is at {samples.fps} fps")
+        real = self.known[self.real]
+        figures = self.known[samples] if samples in self.known else _figures(_channels_of(samples), self.weights)
         value = _relative(
-            figures.averages(np.ones((1, samples.num_sequences))),
-            self.figures.averages(np.ones((1, self.real.num_sequences))),
+            figures.averages(np.ones((1, samples.num_sequences))), real.averages(np.ones((1, self.real.num_sequences)))
         )[0]
         weights, real_weights = self._weights(samples), self._weights(self.real)
         drawn = weights.any(axis=1) & real_weights.any(axis=1)
-        draws = _relative(figures.averages(weights[drawn]), self.figures.averages(real_weights[drawn]))
+        draws = _relative(figures.averages(weights[drawn]), real.averages(real_weights[drawn]))
         intervals = np.nanpercentile(draws, (2.5, 97.5), axis=0)
         timing, *energy, rigidity = (
             Figure(

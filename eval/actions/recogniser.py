@@ -15,7 +15,7 @@ from fractions import Fraction
 import numpy as np
 from scipy.linalg import eigh
 
-from eval.clip_fid.descriptor import local_poses
+from eval.clip_fid.score import local_poses
 from eval.sets.sets import SampleSet, middle
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.shapes import Float32, Float64

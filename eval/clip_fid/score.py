@@ -4,35 +4,38 @@ The NeRM paper (§4.2) compares random clips of m poses at framerate s around a 
 resampling either; m, the number of clips, the extractor and the real set at a target rate are this project's choices,
 and `VERSION` is raised whenever one of them changes. Not the FID of images on CLIP features that other tools call
 clip-FID.
+
+The kinematic descriptor, version 3, describes what bodies do below 8 Hz, by its distribution: poses and their spread,
+power in three slow bands, speeds, sliding feet, height above the floor, and the direction of time. Nothing above 8 Hz:
+a sum that sees fast motion is won by adding noise, and one that does not see it is blind. So fast motion has figures of
+its own (`eval.detail`; docs/results/games.md). Powers are those of acceleration. Floors under their logarithms
+correspond to white noise of a fixed amplitude in the positions, so a floor means the same at every framerate, and power
+below it counts for little.
 """
 
+import hashlib
+import os
 import typing
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property, partial
-from typing import TypeVar
+from functools import cache, cached_property, partial
+from typing import ClassVar, TypeVar
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+import numpy.typing as npt
+import scipy.fft
+from threadpoolctl import ThreadpoolController
 
-from eval.clip_fid.descriptor import VERSION as KINEMATIC_VERSION
-from eval.clip_fid.descriptor import KinematicDescriptor, channels, fit_kinematic, in_threads, standardised
-from eval.metrics.distributions import (
-    fid_infinity,
-    fit_gaussian,
-    frechet_distance,
-    kid,
-    prdc,
-)
+from eval.metrics.distributions import fid_infinity, fit_gaussian, frechet_distance, kid, prdc
 from eval.metrics.metric import Metric
 from eval.metrics.number import (
     RESAMPLINGS,
     Number,
     Resampled,
     Resampling,
-    Units,
     UnitSums,
     blocks_for,
     over_replications,
@@ -42,7 +45,7 @@ from eval.metrics.number import (
 from eval.sets.sets import Missing, Ragged, SampleSet, sample_set
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float, Float64, Int64
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import Framerate, parse_fps
@@ -50,7 +53,7 @@ from motionkit.core.timegrid import Framerate, parse_fps
 if typing.TYPE_CHECKING:
     from eval.text_motion.guo import GuoFiles
 
-VERSION = "clip-fid/3"
+VERSION, KINEMATIC_VERSION = "clip-fid/3", "kinematic/3"
 REAL, OTHER = 0, 1
 """The two sides of a comparison: each draws its own sequences."""
 MULTIPLE = 4
@@ -59,20 +62,310 @@ FIT_FRAMES = 100_000
 FIT_REPLICATION = 1_000_000
 """The seed of the descriptor's fit, different from those of all replications."""
 GUO_REPLICATIONS = 5
+ROWS_FOR_THREADS = 250_000
 
+NUM_JOINTS = 22
+JOINT_GROUPS: Mapping[str, tuple[int, ...]] = {
+    "root": (0,),
+    "legs": (1, 2, 4, 5),
+    "feet": (7, 8, 10, 11),
+    "hands": (18, 19, 20, 21),
+    "upper": (3, 6, 9, 12, 13, 14, 15, 16, 17),
+}
+NUM_GROUPS = len(JOINT_GROUPS)
+FEET = ((7, 10), (8, 11))
+FOOT_JOINTS = tuple(joint for foot in FEET for joint in foot)
+
+SLOW_HZ = 8.0
+"""Poses and speeds are those of the motion below."""
+SLOW_BANDS = ((0.0, 2.5), (2.5, 5.0), (5.0, 8.0))
+"""Frequency bands of slow power, Hz; every framerate from 20 fps holds them."""
+FILTER_ORDER = 8
+SLOW_NOISE_METRES = (0.002, 0.002, 0.004)
+"""Floors of the slow bands: white noise of this standard deviation at 120 fps."""
+NOISE_FPS = 120.0
+PAD_SECONDS = 1.0
+SPEED_FLOOR = 0.03
+FOOT_SPEED_FLOOR = 0.01
+
+NUM_POSE_COMPONENTS = 10
+SIZES: Mapping[str, int] = {
+    "pose": NUM_POSE_COMPONENTS,
+    "spread": NUM_POSE_COMPONENTS,
+    "slow": 2 * NUM_GROUPS,
+    "upper slow": NUM_GROUPS,
+    "speed": NUM_GROUPS,
+    "slip": 2,
+    "height": 1,
+    "direction": 1 + NUM_GROUPS,
+}
+"""Number of features of each block, in order."""
+NUM_FEATURES = sum(SIZES.values())
+# Weights were chosen on training takes alone (docs/metrics.md): every block's total variance on real training clips.
+WEIGHTS: Mapping[str, float] = {
+    "pose": 1.0,
+    "spread": 1.0,
+    "slow": 5.5,
+    "upper slow": 0.45,
+    "speed": 1.0,
+    "slip": 1.3,
+    "height": 1.0,
+    "direction": 1.0,
+}
+SPREAD_FLOOR_METRES = 0.005
+LEAST_LOG_SPREAD = 0.25
+LEAST_SPREADS: Mapping[str, float] = {"pose": 0.02, "height": 0.02, "direction": 0.1}
+"""Minimum standard deviations for the standardisation: metres, metres per second; `LEAST_LOG_SPREAD` for logarithms."""
+
+Band = tuple[float, float]
+Signal = Float64[np.ndarray, "_frames _columns"]
+Vectors = Float64[np.ndarray, "*batch axes"]
+
+
+def _group_means() -> Float64[np.ndarray, "coordinates groups"]:
+    weights = np.zeros((NUM_JOINTS, NUM_GROUPS))
+    for column, joints in enumerate(JOINT_GROUPS.values()):
+        weights[list(joints), column] = 1.0 / len(joints)
+    return np.repeat(weights, 3, axis=0)
+
+
+GROUP_MEANS = _group_means()
+"""Averages squared coordinates [66] over the joints of each group."""
+
+
+def noise_power(bands: tuple[Band, ...], metres: float) -> Float64[np.ndarray, "bands"]:
+    """Mean squared acceleration (m²/s⁴) in every band of white noise whose standard deviation at 120 fps is `metres`.
+
+    It is that of one coordinate. Its density is metres² / 60 per Hz, of which acceleration has (2π f)⁴ times as much.
+    """
+    low, high = np.array(bands, dtype=np.float64).reshape(-1, 2).T
+    power: Float64[np.ndarray, bands] = metres**2 / (NOISE_FPS / 2) * (2 * np.pi) ** 4 * (high**5 - low**5) / 5
+    return power
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """The Fourier transform of a motion extended at both ends, in single precision, and its linear trend."""
+
+    values: npt.NDArray[np.complex64]
+    frequencies_hz: npt.NDArray[np.float64]
+    trend: Signal
+    pad: int
+    rate: float
+
+    @classmethod
+    def of(cls, signal: Signal, rate: float) -> "Spectrum":
+        """Extend the ends by point reflection, which keeps their velocity."""
+        pad = min(len(signal) - 1, round(PAD_SECONDS * rate))
+        before, after = 2 * signal[:1] - signal[pad:0:-1], 2 * signal[-1:] - signal[-2 : -2 - pad : -1]
+        whole = np.concatenate((before, signal, after))
+        slope = (whole[-1] - whole[0]) / max(1, len(whole) - 1)
+        trend = whole[:1] + np.arange(len(whole))[:, None] * slope
+        values = scipy.fft.rfft((whole - trend).astype(np.float32), axis=0)
+        return cls(values, scipy.fft.rfftfreq(len(whole), 1 / rate), trend, pad, rate)
+
+    def below(self, cutoff_hz: float) -> Signal:
+        """Zero-phase low-pass."""
+        signal: Signal = self._inverse(self._low_gain(cutoff_hz)) + self._own(self.trend)
+        return signal
+
+    def power(self, band: Band) -> Float64[np.ndarray, "_frames groups"]:
+        """Squared second difference per second squared, of one band alone, averaged over the joints of each group."""
+        low, high = band
+        gain = (self._low_gain(high) if high < self.rate / 2 else 1.0) - self._low_gain(low)
+        gain *= np.square(2 * self.rate * np.sin(np.pi * self.frequencies_hz / self.rate))
+        return (np.square(self._inverse(gain)) @ GROUP_MEANS.astype(np.float32)).astype(np.float64)
+
+    def _low_gain(self, cutoff_hz: float) -> npt.NDArray[np.float64]:
+        """Squared Butterworth gain: a filter forwards and backwards; 0 for a cut-off of 0."""
+        if cutoff_hz == 0:
+            return np.zeros_like(self.frequencies_hz)
+        gain: npt.NDArray[np.float64] = 1.0 / (1.0 + (self.frequencies_hz / cutoff_hz) ** (2 * FILTER_ORDER))
+        return gain
+
+    def _inverse(self, gain: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+        filtered = self.values * gain.astype(np.float32)[:, None]
+        return self._own(scipy.fft.irfft(filtered, n=len(self.trend), axis=0))
+
+    def _own(self, continued: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+        return continued[self.pad : len(continued) - self.pad]
+
+
+def rate_of_change(values: npt.NDArray[np.float64], rate: float) -> npt.NDArray[np.float64]:
+    """Central differences per second, one-sided at the ends; 0 for a single frame."""
+    if len(values) < 2:
+        return np.zeros_like(values)
+    change: npt.NDArray[np.float64] = np.gradient(values, axis=0) * rate
+    return change
+
+
+def lengths_of(vectors: Vectors) -> Float64[np.ndarray, "*batch"]:
+    """The length of each vector; several times as fast as `numpy.linalg.norm` for few coordinates."""
+    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """One motion below 8 Hz, a row for each pose; powers are in m²/s⁴, speeds in m/s, their logarithms natural.
+
+    `log_foot_speed` is horizontal, of the slower foot, then of the other; a foot's speed is that of its slower joint.
+    `height` is that of the lower foot in metres. `direction` are odd functions of velocity, whose means change sign
+    when time runs backwards: the root's speed forwards in m/s, then the cube root of vertical speed by joint group.
+    Where falling is faster than rising, it takes less time, and the mean is positive.
+    """
+
+    pose: Float64[np.ndarray, "frames 63"]
+    power: Float64[np.ndarray, "frames bands groups"]
+    log_speed: Float64[np.ndarray, "frames groups"]
+    log_foot_speed: Float64[np.ndarray, "frames 2"]
+    height: Float64[np.ndarray, "frames 1"]
+    direction: Float64[np.ndarray, "frames direction"]
+
+
+def channels(positions: Float[np.ndarray, "frames joints 3"], fps: Fraction) -> Channels:
+    """Channels of one motion of the 22 joints of `SMPL22`, in metres, y up."""
+    if positions.shape[1] != NUM_JOINTS:
+        raise ValueError(f"motions have {positions.shape[1]} joints; the descriptor is defined on {NUM_JOINTS}")
+    rate, group_means = float(fps), GROUP_MEANS[::3]
+    spectrum = Spectrum.of(positions.reshape(len(positions), -1).astype(np.float64), rate)
+    slow = spectrum.below(SLOW_HZ).reshape(positions.shape)
+    velocity = rate_of_change(slow, rate)
+    over_ground = lengths_of(velocity[:, FOOT_JOINTS][..., [0, 2]])
+    feet = np.sort(over_ground.reshape(-1, len(FEET), 2).min(axis=-1), axis=-1)
+    right_x, right_z = _to_the_right(slow)
+    forwards = velocity[:, 0, 0] * right_z - velocity[:, 0, 2] * right_x
+    return Channels(
+        pose=local_poses(slow[None])[0],
+        power=np.stack([spectrum.power(band) for band in SLOW_BANDS], axis=1),
+        log_speed=np.log(lengths_of(velocity) + SPEED_FLOOR) @ group_means,
+        log_foot_speed=np.log(feet + FOOT_SPEED_FLOOR),
+        height=slow[:, FOOT_JOINTS, 1].min(axis=1, keepdims=True),
+        direction=np.column_stack((forwards, np.cbrt(velocity[..., 1] @ group_means))),
+    )
+
+
+def _to_the_right(
+    positions: Float64[np.ndarray, "*batch joints 3"],
+) -> tuple[Float64[np.ndarray, "*batch"], Float64[np.ndarray, "*batch"]]:
+    """x and z of the horizontal unit vector from the left hip and shoulder to the right ones; 0 where there is none."""
+    across = positions[..., 2, :] - positions[..., 1, :] + positions[..., 17, :] - positions[..., 16, :]
+    length = np.hypot(across[..., 0], across[..., 2])
+    safe = np.where(length > 0, length, 1.0)
+    return across[..., 0] / safe, across[..., 2] / safe
+
+
+def local_poses(positions: Float64[np.ndarray, "clips poses joints 3"]) -> Float64[np.ndarray, "clips poses 63"]:
+    """Joints 1 … 21 relative to the root, rotated so that hips and shoulders face +Z at every instant."""
+    x, z = (each[..., None] for each in _to_the_right(positions))
+    relative = positions[:, :, 1:] - positions[:, :, :1]
+    local: Float64[np.ndarray, "clips poses joints 3"] = np.empty_like(relative)
+    local[..., 0] = -(relative[..., 0] * x + relative[..., 2] * z)
+    local[..., 1] = relative[..., 1]
+    local[..., 2] = relative[..., 0] * z - relative[..., 2] * x
+    return local.reshape(len(positions), -1, 63)
+
+
+def _blocks() -> dict[str, slice]:
+    stops = np.cumsum(list(SIZES.values())).tolist()
+    return {name: slice(stop - size, stop) for (name, size), stop in zip(SIZES.items(), stops, strict=True)}
+
+
+BLOCKS: Mapping[str, slice] = _blocks()
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 RowKey = TypeVar("RowKey", bound=Hashable)
 Motions = Sequence[Motion] | Sequence[Float[np.ndarray, "_frames 22 3"]]
 Features = Float64[np.ndarray, "clips features"]
 Chosen = Int64[np.ndarray, "chosen"]
 
 
-class ClipError(MotionkitError):
-    """A sample set that is too short for the requested clips."""
+@cache
+def _blas() -> ThreadpoolController:
+    """Looking for BLAS among the loaded libraries takes milliseconds."""
+    return ThreadpoolController()
+
+
+def in_threads(function: Callable[[Item], Result], items: Iterable[Item], num_rows: int) -> Iterator[Result]:
+    """The results of a function of each item, in order; in threads if the items have many rows (frames, clips) in all.
+
+    BLAS has one thread in each, to avoid oversubscription. For few rows, threads that wait for the interpreter's lock
+    cost more than they save.
+    """
+    with _blas().limit(limits=1, user_api="blas"):
+        if num_rows < ROWS_FOR_THREADS:
+            yield from map(function, items)
+        else:
+            with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+                yield from pool.map(function, items)
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicDescriptor:
+    """The descriptor fitted at one framerate.
+
+    `pose_mean` [63] and `pose_components` [10, 63] span poses relative to root and heading; `centre` and `scale`
+    standardise the features, and weigh them. `training` are the motions that it was fitted on and their running sums,
+    if it was fitted on all of them.
+    """
+
+    name: ClassVar[str] = "kinematic"
+    fps: Fraction
+    pose_mean: Float64[np.ndarray, "coordinates"]
+    pose_components: Float64[np.ndarray, "components coordinates"]
+    centre: Float64[np.ndarray, "features"]
+    scale: Float64[np.ndarray, "features"]
+    training: tuple[SampleSet, Ragged] | None = None
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """First 16 hex digits of the sha256 over version, framerate and every fitted number."""
+        digest = hashlib.sha256(f"{KINEMATIC_VERSION} {self.fps}".encode())
+        for array in (self.pose_mean, self.pose_components, self.centre, self.scale):
+            digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+        return digest.hexdigest()[:16]
+
+    def running_sums(self, samples: SampleSet) -> Ragged:
+        """Sums over the poses so far of the numbers that clips average: a row for every pose, float64."""
+        if samples.fps != self.fps:
+            raise ValueError(f"this descriptor was fitted at {self.fps} fps; {samples.name} is at {samples.fps} fps")
+        if self.training is not None and samples is self.training[0]:
+            return self.training[1]
+
+        def sums(positions: Float32[np.ndarray, "frames 22 3"]) -> Signal:
+            return self.sums_of(channels(positions, self.fps))
+
+        return Ragged.of(list(in_threads(sums, samples.sequences, len(samples.sequences.values))), np.float64)
+
+    def sums_of(self, motion: Channels) -> Float64[np.ndarray, "frames numbers"]:
+        """The running sums of one motion."""
+        scores = (motion.pose - self.pose_mean) @ self.pose_components.T
+        power = motion.power.reshape(len(scores), -1)
+        others = (motion.log_speed, motion.log_foot_speed, motion.height, motion.direction)
+        rows = np.concatenate((scores, np.square(scores), power, *others), axis=1, dtype=np.float32)
+        return np.cumsum(rows, axis=0, dtype=np.float64)
+
+    def describe(self, sums: Ragged, clips: "Clips") -> Features:
+        """Features of clips of a set with these running sums.
+
+        They are means over the clip, those of powers as logarithms above their floors, standardised.
+        """
+        last = sums.values[clips.first_row + clips.num_poses - 1]
+        is_later = clips.first_row > sums.start_row[clips.sequence]
+        means = last - np.where(is_later[:, None], sums.values[clips.first_row - 1], 0.0)
+        means /= clips.num_poses[:, None]
+        sizes = np.cumsum((NUM_POSE_COMPONENTS, NUM_POSE_COMPONENTS, NUM_GROUPS * len(SLOW_BANDS)))
+        pose, squares, power, others = np.split(means, sizes, axis=1)
+        spread = 0.5 * np.log(np.maximum(squares - np.square(pose), 0.0) + SPREAD_FLOOR_METRES**2)
+        floors = [noise_power((band,), metres) for band, metres in zip(SLOW_BANDS, SLOW_NOISE_METRES, strict=True)]
+        log_power = 0.5 * np.log(np.maximum(power, 0.0) + np.repeat(floors, NUM_GROUPS))
+        features = np.concatenate((pose, spread, log_power, others), axis=1)
+        return np.asarray((features - self.centre) * self.scale, dtype=np.float64)
 
 
 @typing.runtime_checkable
 class FeatureSet(typing.Protocol):
-    """A feature extractor, learned or not: maps clips of one framerate to feature vectors.
+    """Another feature extractor, learned or not: maps clips of one framerate to feature vectors.
 
     A clip's features do not depend on its batch.
     """
@@ -90,6 +383,10 @@ class FeatureSet(typing.Protocol):
     def describe(self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction) -> Features:
         """One row per clip, in order; positions in metres, y up, the 22 joints of `SMPL22`."""
         ...
+
+
+class ClipError(MotionkitError):
+    """A sample set that is too short for the requested clips."""
 
 
 @dataclass(frozen=True)
@@ -160,36 +457,72 @@ def draw_clips(
     return Clips(sequence, samples.sequences.start_row[sequence] + start, num_poses)
 
 
-def feature_input(samples: SampleSet, features: FeatureSet) -> SampleSet:
-    """The sample set with the features' input per pose: positions, or for the kinematic descriptor its rows."""
-    if not isinstance(features, KinematicDescriptor) or samples.sequences.values.ndim != 3:  # or they are rows already
-        return samples
-    return replace(samples, sequences=features.frames(samples), local_rotations=None)
+def describer(samples: SampleSet, features: KinematicDescriptor | FeatureSet) -> Callable[[Clips], Features]:
+    """A function that gives the features of clips of a set, in their order."""
+    if isinstance(features, KinematicDescriptor):
+        return partial(features.describe, features.running_sums(samples))
 
+    def describe(clips: Clips) -> Features:
+        """In batches of one size."""
+        order = np.argsort(clips.num_poses, kind="stable")
+        sizes, starts = np.unique(clips.num_poses[order], return_index=True)
+        batches = [
+            features.describe(samples.sequences.clips(clips.first_row[rows], int(size)), samples.fps)
+            for size, rows in zip(sizes, np.split(order, starts[1:]), strict=True)
+        ]
+        result = np.empty((len(order), batches[0].shape[1]))
+        result[order] = np.concatenate(batches)
+        return result
 
-def describe_clips(samples: SampleSet, clips: Clips, features: FeatureSet) -> Features:
-    """Features of clips of the output of `feature_input`, in their order, batched by size."""
-    order = np.argsort(clips.num_poses, kind="stable")
-    sizes, starts = np.unique(clips.num_poses[order], return_index=True)
-    batches = [
-        features.describe(samples.sequences.clips(clips.first_row[rows], int(size)), samples.fps)
-        for size, rows in zip(sizes, np.split(order, starts[1:]), strict=True)
-    ]
-    result = np.empty((len(order), batches[0].shape[1]))
-    result[order] = np.concatenate(batches)
-    return result
+    return describe
 
 
 def fit_on(train: SampleSet, seed: int = 0) -> KinematicDescriptor:
-    """Fit the kinematic descriptor on random takes of a training set, and standardise it on clips of them."""
+    """Fit the kinematic descriptor on random takes of a training set, and standardise it on clips of them.
+
+    A component's sign is fixed by its largest coordinate, so that the fit does not depend on the linear algebra
+    library.
+    """
     order = np.random.default_rng((seed, FIT_REPLICATION)).permutation(train.num_sequences)
     passed = np.cumsum(train.sequences.num_frames[order])
-    some = train.select(order[: 1 + int(np.searchsorted(passed, FIT_FRAMES))])
-    motions = list(in_threads(partial(channels, fps=train.fps), some.sequences))
-    fitted = fit_kinematic(motions, train.fps)
-    rows = replace(some, sequences=Ragged.of(list(map(fitted.rows, motions))), local_rotations=None)
-    clips = draw_clips(rows, Protocol(num_clips=FIT_CLIPS, seed=seed), FIT_REPLICATION, REAL)
-    return standardised(fitted, describe_clips(rows, clips, fitted))
+    order = order[: 1 + int(np.searchsorted(passed, FIT_FRAMES))]
+    some = train.select(order)
+    motions = list(in_threads(partial(channels, fps=train.fps), some.sequences, len(some.sequences.values)))
+    poses = np.concatenate([motion.pose for motion in motions])
+    pose_mean = poses.mean(axis=0)
+    _, eigenvectors = np.linalg.eigh((poses - pose_mean).T @ (poses - pose_mean) / len(poses))
+    components = eigenvectors.T[::-1][:NUM_POSE_COMPONENTS]
+    largest = np.take_along_axis(components, np.abs(components).argmax(axis=1)[:, None], axis=1)
+    components = np.ascontiguousarray(components * np.sign(largest))
+    fitted = KinematicDescriptor(train.fps, pose_mean, components, np.zeros(NUM_FEATURES), np.ones(NUM_FEATURES))
+    sums = Ragged.of(list(map(fitted.sums_of, motions)), np.float64)
+    described = fitted.describe(sums, draw_clips(some, Protocol(num_clips=FIT_CLIPS, seed=seed), FIT_REPLICATION, REAL))
+    spread, scale = described.std(axis=0), np.empty(NUM_FEATURES)
+    for name, block in BLOCKS.items():
+        least = LEAST_SPREADS.get(name, LEAST_LOG_SPREAD)
+        scale[block] = np.sqrt(WEIGHTS[name] / SIZES[name]) / np.maximum(spread[block], least)
+    training = (train, sums.select(np.argsort(order).tolist())) if len(order) == train.num_sequences else None
+    return replace(fitted, centre=described.mean(axis=0), scale=scale, training=training)
+
+
+class _Reference:
+    """The features of one replication's real clips, with which others are compared."""
+
+    def __init__(self, features: Features, replication: int, protocol: Protocol) -> None:
+        self.features, self.gaussian = features, fit_gaussian(features)
+        self.stream, self.protocol = (protocol.seed, replication, 4), protocol
+        self.is_detailed = replication < protocol.detailed_replications
+
+    def compare(self, other: Features) -> dict[str, float]:
+        """clip-FID, and in detailed replications all further metrics."""
+        scores = {"clip_fid": frechet_distance(self.gaussian, fit_gaussian(other))}
+        if self.is_detailed:
+            # FID∞ needs more than four clips per feature.
+            with suppress(ValueError):
+                scores["fid_infinity"] = fid_infinity(self.features, other, np.random.default_rng(self.stream))
+            scores["kid"] = kid(self.features, other)
+            scores |= prdc(self.features, other, self.protocol.num_neighbours)
+        return scores
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,19 +530,24 @@ class Comparison:
     """The comparison of sample sets with the real set at one framerate; the features were fitted on `training`."""
 
     real: SampleSet
-    features: FeatureSet
+    features: KinematicDescriptor | FeatureSet
     protocol: Protocol
     training: SampleSet | None = None
 
     @cached_property
-    def _real(self) -> SampleSet:
-        return feature_input(self.real, self.features)
+    def _describe_real(self) -> Callable[[Clips], Features]:
+        return describer(self.real, self.features)
 
-    @property
-    def num_features(self) -> int:
-        """Number of features of a clip."""
-        clip = self._real.sequences.clips(np.zeros(1, dtype=np.int64), int(self.protocol.sizes.min()))
-        return int(self.features.describe(clip, self.real.fps).shape[1])
+    @cached_property
+    def centre(self) -> Float64[np.ndarray, "features"]:
+        """The mean features of the first real clips; raises `ClipError` if these are all the same."""
+        features = self._describe_real(draw_clips(self.real, self.protocol, 0, REAL))
+        if (features == features[0]).all():
+            raise ClipError(
+                f"{self.real.name} at {self.real.fps} fps: every clip has the same {self.features.name} features, so "
+                "there is no distribution to compare with; is the motion frozen?"
+            )
+        return features.mean(axis=0)
 
     def scores(
         self,
@@ -229,52 +567,56 @@ class Comparison:
         mean. Raises `ClipError` if clips do not fit or the real set's features are constant, and `ValueError` for
         different framerates.
         """
-        subsets, protocol = subset_sizes or {}, self.protocol
-        for samples in rows.values():
-            if samples.fps != self.real.fps:
-                raise ValueError(f"{samples.name} is at {samples.fps} fps, the real set at {self.real.fps}")
-        sets = {
-            name: self._real if samples is self.real else feature_input(samples, self.features)
+        subsets, real, protocol = subset_sizes or {}, self.real, self.protocol
+        describers = {}
+        for name, samples in rows.items():
+            if samples.fps != real.fps:
+                raise ValueError(f"{samples.name} is at {samples.fps} fps, the real set at {real.fps}")
+            describers[name] = self._describe_real if samples is real else describer(samples, self.features)
+        resampled = [
+            name
             for name, samples in rows.items()
-        }
-        real, whole = self._real, [name for name in sets if name not in subsets]
+            if protocol.resamplings and name not in subsets and real.num_takes > 1 and samples.num_takes > 1
+        ]
+        by_take = []
+        for samples in (real, *(rows[name] for name in resampled)):
+            blocks = blocks_for(max(real.num_takes, samples.num_takes), self.centre.size)
+            units = units_of(samples.take_names, samples.generations, blocks)
+            by_take.append((UnitSums(len(units.takes), self.centre), units))
 
-        def replicate(replication: int) -> tuple[dict[RowKey, dict[str, float]], list[_Described]]:
-            reference = self._described(real, replication, REAL)
-            if (reference.features == reference.features[0]).all():
-                raise ClipError(
-                    f"{real.name} at {real.fps} fps: every clip has the same {self.features.name} features, so there "
-                    "is no distribution to compare with; is the motion frozen?"
-                )
-            scores, described = {}, [reference]
-            for name, samples in sets.items():
+        def replicate(replication: int) -> tuple[dict[RowKey, dict[str, float]], list[tuple[Clips, Features]]]:
+            clips = draw_clips(real, protocol, replication, REAL)
+            reference = _Reference(self._describe_real(clips), replication, protocol)
+            scores, described = {}, [(clips, reference.features)]
+            for name, samples in rows.items():
                 among = self._subset(samples, subsets[name], replication) if name in subsets else None
-                other = self._described(samples, replication, OTHER, among)
-                scores[name] = self._compare(reference.features, other.features, replication)
-                if among is None:
-                    described.append(other)
+                clips = draw_clips(samples, protocol, replication, OTHER, among)
+                features = describers[name](clips)
+                scores[name] = reference.compare(features)
+                if name in resampled:
+                    described.append((clips, features))
             return scores, described
 
-        takes = _Takes([real, *(sets[name] for name in whole)], protocol) if protocol.resamplings else None
-        replications = []
-        for scores, described in in_threads(replicate, range(protocol.replications)):
-            replications.append(scores)
-            if takes is not None:
-                takes.add(described)
+        replications: dict[RowKey, list[dict[str, float]]] = {name: [] for name in rows}
+        for scores, described in self._replicated(replicate, 1 + len(rows)):
+            for name, each in scores.items():
+                replications[name].append(each)
+            for (sums, units), (clips, features) in zip(by_take, described, strict=True):
+                sums.add(features, units.unit[clips.sequence])
             on_replication()
-        resampled = {} if takes is None else dict(zip(whole, takes.scores(), strict=True))
-        found = {}
-        for name in rows:
-            summary = _summarise([scores[name] for scores in replications], resampled.get(name, ()))
-            found[name] = self._of_single_sets(summary) if name in subsets else summary
-        return found
+        with _blas().limit(limits=1, user_api="blas"):
+            fids = resampled_fids(*by_take[0], by_take[1:], Resampling(protocol.resamplings, protocol.seed))
+        of_rows = dict(zip(resampled, fids, strict=True))
+        return {
+            name: self._summarised(each, of_rows.get(name, ()), name in subsets) for name, each in replications.items()
+        }
 
     def disjoint_halves(self, on_replication: Callable[[], None] = lambda: None) -> Number:
         """clip-FID between random disjoint halves of the real takes (P2), one split per replication.
 
         The interval is 1.96 standard deviations of single splits. Raises `ClipError` for a single take.
         """
-        real, protocol = self._real, self.protocol
+        real, protocol = self.real, self.protocol
         if real.num_sequences < 2:
             raise ClipError(f"{real.name}: {real.num_sequences} take cannot be split into two halves")
 
@@ -283,19 +625,22 @@ class Comparison:
             order = np.random.default_rng((protocol.seed, replication, 3)).permutation(real.num_sequences)
             passed = np.cumsum(real.sequences.num_frames[order])
             middle = int(np.clip(np.searchsorted(passed, passed[-1] / 2) + 1, 1, len(order) - 1))
-            a = self._described(real, replication, REAL, order[:middle]).features
-            b = self._described(real, replication, OTHER, order[middle:]).features
-            return self._compare(a, b, replication)
+            first, second = (
+                self._describe_real(draw_clips(real, protocol, replication, side, among))
+                for side, among in ((REAL, order[:middle]), (OTHER, order[middle:]))
+            )
+            return _Reference(first, replication, protocol).compare(second)
 
         replications = []
-        for scores in in_threads(replicate, range(protocol.replications)):
+        for scores in self._replicated(replicate, 2):
             replications.append(scores)
             on_replication()
-        return self._of_single_sets(_summarise(replications))
+        return self._summarised(replications, (), True)
 
-    def _described(self, samples: SampleSet, replication: int, side: int, among: Chosen | None = None) -> "_Described":
-        clips = draw_clips(samples, self.protocol, replication, side, among)
-        return _Described(describe_clips(samples, clips, self.features), clips.sequence)
+    def _replicated(self, replicate: Callable[[int], Result], num_sets: int) -> Iterator[Result]:
+        """The results of each replication, which draws clips of so many sets."""
+        replications = self.protocol.replications
+        return in_threads(replicate, range(replications), replications * self.protocol.num_clips * num_sets)
 
     def _subset(self, samples: SampleSet, size: int, replication: int) -> Chosen:
         """Up to `size` random sequences that are long enough for the largest clips."""
@@ -303,64 +648,13 @@ class Comparison:
         rng = np.random.default_rng((self.protocol.seed, replication, 6))
         return rng.choice(long_enough, size=min(size, len(long_enough)), replace=False)
 
-    def _compare(self, real: Features, other: Features, replication: int) -> dict[str, float]:
-        """clip-FID, and in detailed replications all further metrics."""
-        scores = {"clip_fid": frechet_distance(fit_gaussian(real), fit_gaussian(other))}
-        if replication < self.protocol.detailed_replications:
-            rng = np.random.default_rng((self.protocol.seed, replication, 4))
-            # FID∞ needs more than four clips per feature.
-            with suppress(ValueError):
-                scores["fid_infinity"] = fid_infinity(real, other, rng)
-            scores["kid"] = kid(real, other)
-            scores |= prdc(real, other, self.protocol.num_neighbours)
-        return scores
-
-    def _of_single_sets(self, found: Number) -> Number:
-        """With the interval of a single replication instead of the mean's: each had its own takes."""
-        return replace(found, ci95=float(found.drawing * np.sqrt(self.protocol.replications)))
-
-
-def _summarise(replications: list[dict[str, float]], resampled: Resampled = ()) -> Number:
-    by_name = {key: [scores[key] for scores in replications if key in scores] for key in replications[0]}
-    clip_fid = over_replications(by_name.pop("clip_fid"), resampled)
-    return replace(clip_fid, details={name: over_replications(values).value for name, values in by_name.items()})
-
-
-@dataclass(frozen=True, eq=False)
-class _Described:
-    """Features of clips, and each clip's sequence."""
-
-    features: Features
-    sequence: Int64[np.ndarray, "clips"]
-
-
-class _Takes:
-    """Statistics of each take of a comparison's sets, the real one first, from the clips of all replications."""
-
-    def __init__(self, sets: list[SampleSet], protocol: Protocol) -> None:
-        self._sets, self._resampling = sets, Resampling(protocol.resamplings, protocol.seed)
-        self._units: list[Units] = []
-        self._sums: list[UnitSums] = []
-
-    def add(self, described: list[_Described]) -> None:
-        """The clips of one replication of every set."""
-        if not self._sums:
-            centre, most = described[0].features.mean(axis=0), self._sets[0].num_takes
-            for each in self._sets:
-                blocks = blocks_for(max(most, each.num_takes), centre.size)
-                self._units.append(units_of(each.take_names, each.generations, blocks))
-                self._sums.append(UnitSums(len(self._units[-1].takes), centre))
-        for clips, units, sums in zip(described, self._units, self._sums, strict=True):
-            sums.add(clips.features, units.unit[clips.sequence])
-
-    def scores(self) -> list[Resampled]:
-        """Every row's bootstrap scores; empty if the real set or the row has a single take."""
-        real, *others = zip(self._sums, self._units, strict=True)
-        several = [each.num_takes > 1 and self._sets[0].num_takes > 1 for each in self._sets[1:]]
-        with threadpool_limits(1, "blas"):
-            chosen = [other for other, enough in zip(others, several, strict=True) if enough]
-            found = iter(resampled_fids(*real, chosen, self._resampling))
-        return [next(found) if enough else () for enough in several]
+    def _summarised(self, replications: list[dict[str, float]], resampled: Resampled, single_sets: bool) -> Number:
+        """The mean; where each replication had its own takes, with the interval of a single one."""
+        by_name = {key: [scores[key] for scores in replications if key in scores] for key in replications[0]}
+        found = over_replications(by_name.pop("clip_fid"), resampled)
+        if single_sets:
+            found = replace(found, ci95=float(found.drawing * np.sqrt(self.protocol.replications)))
+        return replace(found, details={name: over_replications(values).value for name, values in by_name.items()})
 
 
 @dataclass(frozen=True)

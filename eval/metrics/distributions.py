@@ -40,9 +40,16 @@ class Gaussian:
 
     @cached_property
     def factor(self) -> Float64[np.ndarray, "features features"]:
-        """L with L·Lᵀ = covariance, from its eigenvalues; those negative by rounding are set to zero."""
-        eigenvalues, eigenvectors = np.linalg.eigh(self.covariance)
-        return np.asarray(eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0)), dtype=np.float64)
+        """L with L·Lᵀ = covariance."""
+        return factors_of(self.covariance)
+
+
+def factors_of(
+    covariances: Float64[np.ndarray, "*batch features features"],
+) -> Float64[np.ndarray, "*batch features features"]:
+    """L with L·Lᵀ = covariance, from its eigenvalues; those negative by rounding are set to zero."""
+    eigenvalues, eigenvectors = np.linalg.eigh(covariances)
+    return np.asarray(eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0))[..., None, :], dtype=np.float64)
 
 
 def fit_gaussian(features: Float[np.ndarray, "samples features"]) -> Gaussian:
@@ -53,25 +60,36 @@ def fit_gaussian(features: Float[np.ndarray, "samples features"]) -> Gaussian:
     return Gaussian(mean, centred.T @ centred / (len(values) - 1), len(values))
 
 
-def frechet_distance(a: Gaussian, b: Gaussian, *, quick: bool = False) -> float:
+def frechet_distance(a: Gaussian, b: Gaussian) -> float:
     """‖μ₁ − μ₂‖² + Tr(Σ₁ + Σ₂ − 2(Σ₁Σ₂)^½): the squared 2-Wasserstein distance of two Gaussians; symmetric.
 
     With Σᵢ = LᵢLᵢᵀ the trace of (Σ₁Σ₂)^½ is the sum of the singular values of L₁ᵀL₂: no matrix square root is taken
-    and singular covariances are no special case. `quick` takes the eigenvalues of L₁ᵀΣ₂L₁ instead, which needs no L₂
-    but is exact to 1e-7 of the variances only. With no more samples than features the distance is still that of the
+    and singular covariances are no special case. With no more samples than features the distance is still that of the
     two fitted (degenerate) Gaussians, but it says little about the distributions: its bias grows as features / N, so
     quote N beside it. Source: Dowson & Landau 1982; Heusel et al. 2017.
     """
     if a.mean.shape != b.mean.shape:
         raise ValueError(f"the two sets have {a.mean.size} and {b.mean.size} features")
-    if quick:
-        eigenvalues = np.linalg.eigvalsh(a.factor.T @ b.covariance @ a.factor)
-        cross = np.sqrt(np.maximum(eigenvalues, 0.0)).sum()
-    else:
-        cross = np.linalg.svd(a.factor.T @ b.factor, compute_uv=False).sum()
+    cross = np.linalg.svd(a.factor.T @ b.factor, compute_uv=False).sum()
     spread = np.trace(a.covariance) + np.trace(b.covariance) - 2.0 * cross
     shift = a.mean - b.mean
     return max(0.0, float(shift @ shift + spread))
+
+
+def frechet_distances(
+    means: Float64[np.ndarray, "pairs features"],
+    factors: Float64[np.ndarray, "pairs features features"],
+    other_means: Float64[np.ndarray, "pairs features"],
+    other_covariances: Float64[np.ndarray, "pairs features features"],
+) -> Float64[np.ndarray, "pairs"]:
+    """As `frechet_distance`, of many pairs of Gaussians at once, the first ones given by `factors_of` covariances.
+
+    From the eigenvalues of L₁ᵀΣ₂L₁ in place of singular values: ten times as fast, but exact to 1e-7 of the variances.
+    """
+    eigenvalues = np.linalg.eigvalsh(factors.mT @ other_covariances @ factors)
+    spread = np.square(factors).sum(axis=(1, 2)) + np.trace(other_covariances, axis1=1, axis2=2)
+    spread -= 2.0 * np.sqrt(np.maximum(eigenvalues, 0.0)).sum(axis=1)
+    return np.maximum(np.square(means - other_means).sum(axis=1) + spread, 0.0)
 
 
 def fid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"]) -> float:
@@ -101,10 +119,13 @@ def fid_infinity(
         raise ValueError(f"{largest} samples are too few to extrapolate from: {features} features need {least}")
     sizes = np.unique(np.linspace(largest / 4, largest, 8).astype(np.int64)).tolist()
     orders = [rng.permutation(len(each))[:largest] for each in (real, generated)]
-    values = [
-        frechet_distance(fit_gaussian(real[orders[0][:size]]), fit_gaussian(generated[orders[1][:size]]))
+    pairs = [
+        [fit_gaussian(each[order[:size]]) for each, order in zip((real, generated), orders, strict=True)]
         for size in sizes
     ]
+    means, other_means = np.array([[gaussian.mean for gaussian in pair] for pair in pairs]).swapaxes(0, 1)
+    covariances, other_covariances = np.array([[each.covariance for each in pair] for pair in pairs]).swapaxes(0, 1)
+    values = frechet_distances(means, factors_of(covariances), other_means, other_covariances)
     _, limit = np.polyfit(1.0 / np.array(sizes), values, 1)
     return float(limit)
 
@@ -118,20 +139,25 @@ def kid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m f
     """
     x = checked_features(real, "real", minimum=2)
     y = checked_features(generated, "generated", minimum=2)
-    within = []
-    for each in (x, y):
-        own = float(((np.einsum("nf,nf->n", each, each) / each.shape[1] + 1.0) ** 3).sum())
-        within.append((_kernel_sum(each, each) - own) / (len(each) * (len(each) - 1)))
-    return within[0] + within[1] - 2.0 * _kernel_sum(x, y) / (len(x) * len(y))
+    between = sum(_kernel_sum(x[start : start + BLOCK_ROWS], y) for start in range(0, len(x), BLOCK_ROWS))
+    return _kernel_mean(x) + _kernel_mean(y) - 2.0 * between / (len(x) * len(y))
+
+
+def _kernel_mean(x: Float64[np.ndarray, "n features"]) -> float:
+    """The mean k of two different rows, in blocks so that the full matrix is never held; each pair is computed once."""
+    total = -float(((np.einsum("nf,nf->n", x, x) / x.shape[1] + 1.0) ** 3).sum())
+    for start in range(0, len(x), BLOCK_ROWS):
+        rows, later = x[start : start + BLOCK_ROWS], x[start + BLOCK_ROWS :]
+        total += _kernel_sum(rows, rows) + 2.0 * _kernel_sum(rows, later)
+    return total / (len(x) * (len(x) - 1))
 
 
 def _kernel_sum(x: Float64[np.ndarray, "n features"], y: Float64[np.ndarray, "m features"]) -> float:
-    """Σᵢⱼ k(xᵢ, yⱼ), in blocks of rows so that the full matrix is never held."""
-    total = 0.0
-    for start in range(0, len(x), BLOCK_ROWS):
-        base = x[start : start + BLOCK_ROWS] @ y.T / x.shape[1] + 1.0
-        total += float(np.vdot(base * base, base))
-    return total
+    """Σᵢⱼ k(xᵢ, yⱼ)."""
+    base = x @ y.T
+    base /= x.shape[1]
+    base += 1.0
+    return float(np.vdot(base * base, base))
 
 
 def prdc(

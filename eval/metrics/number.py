@@ -7,14 +7,14 @@ for massive data streams").
 """
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
-from eval.metrics.distributions import Gaussian, frechet_distance
+from eval.metrics.distributions import factors_of, frechet_distances
 from motionkit.core.shapes import Float, Float64, Int64
 
 Resampled = tuple[float | None, ...]
@@ -125,6 +125,9 @@ class Scores:
 
 
 Weights = Float64[np.ndarray, "resamplings units"]
+Counts = Float64[np.ndarray, "resamplings"]
+Means = Float64[np.ndarray, "resamplings features"]
+Covariances = Float64[np.ndarray, "resamplings features features"]
 Labels = Int64[np.ndarray, "labels"]
 
 RESAMPLINGS = 200
@@ -213,20 +216,13 @@ class UnitSums:
             self._sum[index] += rows.sum(axis=0)
             self._products[index] += rows.T @ rows
 
-    def gaussians(self, weights: Weights) -> Iterator[Gaussian | None]:
-        """The Gaussian of every resampling; None if fewer than two samples were drawn."""
-        size = self.centre.size
-        products = self._products.reshape(len(self._products), size * size)
-        for first in range(0, len(weights), GAUSSIANS_AT_ONCE):
-            part = weights[first : first + GAUSSIANS_AT_ONCE]
-            counts, sums = part @ self._count, part @ self._sum
-            for count, total, product in zip(counts.tolist(), sums, part @ products, strict=True):
-                if count < 2:
-                    yield None
-                    continue
-                mean = total / count
-                scatter = product.reshape(size, size) - count * np.outer(mean, mean)
-                yield Gaussian(self.centre + mean, scatter / (count - 1), round(count))
+    def gaussians(self, weights: Weights) -> tuple[Counts, Means, Covariances]:
+        """Number of samples, mean and N − 1 covariance of each resampling; meaningless for fewer than two samples."""
+        counts, size = weights @ self._count, self.centre.size
+        means = (weights @ self._sum) / np.maximum(counts, 1.0)[:, None]
+        scatter = (weights @ self._products.reshape(-1, size * size)).reshape(-1, size, size)
+        scatter -= counts[:, None, None] * means[:, :, None] * means[:, None, :]
+        return counts, self.centre + means, scatter / np.maximum(counts - 1.0, 1.0)[:, None, None]
 
 
 def weighted_means(
@@ -243,12 +239,17 @@ def resampled_fids(
     real: UnitSums, real_units: Units, others: Sequence[tuple[UnitSums, Units]], resampling: Resampling
 ) -> list[Resampled]:
     """FID of every other set against the real one in every resampling of their takes."""
-    sets = [each.gaussians(units.weights(resampling)) for each, units in ((real, real_units), *others)]
+    weights = [units.weights(resampling) for units in (real_units, *(units for _, units in others))]
     rows: list[list[float | None]] = [[] for _ in others]
-    for reference, *found in zip(*sets, strict=True):
-        for values, gaussian in zip(rows, found, strict=True):
-            known = reference is not None and gaussian is not None
-            values.append(frechet_distance(reference, gaussian, quick=True) if known else None)
+    for first in range(0, resampling.count, GAUSSIANS_AT_ONCE):
+        real_weights, *other_weights = (each[first : first + GAUSSIANS_AT_ONCE] for each in weights)
+        real_counts, real_means, real_covariances = real.gaussians(real_weights)
+        factors = factors_of(real_covariances)
+        for values, (sums, _), own in zip(rows, others, other_weights, strict=True):
+            counts, means, covariances = sums.gaussians(own)
+            fids = frechet_distances(real_means, factors, means, covariances).tolist()
+            are_known = np.minimum(counts, real_counts) >= 2
+            values += [fid if known else None for fid, known in zip(fids, are_known, strict=True)]
     return [tuple(values) for values in rows]
 
 

@@ -89,11 +89,11 @@ class TrainingWindows:
         """The nearest training window to every moving window of a set, a quarter of a second apart."""
         motion, distance, relative = [np.empty(0, np.int64)], [np.empty(0)], [np.empty(0)]
         for number, positions in enumerate(samples.sequences):
-            windows = [
-                _windows(_slow(positions, samples.fps * tempo, mirrored), QUERY_EVERY, tempo)
-                for tempo in TEMPI
-                for mirrored in (False, True)
-            ]
+            windows = []
+            for tempo in TEMPI:
+                slow = _slow(positions, samples.fps * tempo)
+                mirrored = mirror_positions(slow, SMPL22.left_right_pairs)
+                windows += [_windows(slow, QUERY_EVERY, tempo), _windows(mirrored, QUERY_EVERY, tempo)]
             count = min(map(len, windows))
             own = windows[2 * TEMPI.index(Fraction(1))][:count].reshape(count, len(POSES), len(PARENTS) * 3)
             deviation = np.square(own - own.mean(axis=1, keepdims=True)).sum(axis=(1, 2))
@@ -125,12 +125,9 @@ def _reduced(
     return np.column_stack((projected, np.sqrt(np.maximum(rest, 0.0)))).astype(np.float32)
 
 
-def _slow(
-    positions: Float32[np.ndarray, "_frames 22 3"], fps: Fraction, mirrored: bool = False
-) -> Float64[np.ndarray, "_slow_frames 22 3"]:
+def _slow(positions: Float32[np.ndarray, "_frames 22 3"], fps: Fraction) -> Float64[np.ndarray, "_slow_frames 22 3"]:
     """Joint positions at 20 fps below 5 Hz; a higher framerate than the motion's plays it faster."""
-    sides = mirror_positions(positions, SMPL22.left_right_pairs) if mirrored else positions
-    return low_pass(resample_positions(sides, fps, FPS).astype(np.float64), float(FPS), SMOOTH_HZ)
+    return low_pass(resample_positions(positions, fps, FPS).astype(np.float64), float(FPS), SMOOTH_HZ)
 
 
 def _windows(

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import lru_cache
 from math import ceil
 
 import numpy as np
@@ -20,7 +21,7 @@ from motionkit.features.humanml3d import at_origin, facing_forward, on_floor
 from motionkit.fields.contact.planted import planted, planted_frames
 from motionkit.fields.detail import Detail, detailed
 from motionkit.fields.interpolation import InterpolatedField
-from motionkit.fields.motion_field import MotionField, Observation, to_motion
+from motionkit.fields.motion_field import DerivedField, MotionField, Observation, Poses, at_fps, to_motion
 from motionkit.fields.resample import resample_positions, upsample
 from motionkit.generate.models import ChecksRequests, GenerationRequest, GenerativeModel, SamplingOptions
 from motionkit.store.cache import open_cache
@@ -212,6 +213,20 @@ def generate_fields(
             made |= zip((replace(window, draw=draw) for window in chosen[some]), fields, strict=True)
             on_motions(len(fields))
     return made
+
+
+def remembering(field: MotionField) -> DerivedField:
+    """The field with the poses of its last two queries: several rows are sampled at the same instants."""
+
+    @lru_cache(2)
+    def query(times: bytes) -> Poses:
+        return field.query(np.frombuffer(times))
+
+    @lru_cache(2)
+    def derived(fps: Fraction) -> DerivedField:
+        return remembering(at_fps(field, fps))
+
+    return DerivedField(field, lambda times: query(times.tobytes()), derived)
 
 
 def is_framed(fields: Mapping[Window, MotionField]) -> bool:

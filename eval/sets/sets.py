@@ -17,7 +17,7 @@ from motionkit.core.shapes import Float, Float32, Int64
 
 ABOUT_EACH = ("sequence_ids", "captions", "actions", "groups", "takes", "generations")
 """Metadata of each sequence of a set; all but its id are optional."""
-Frames = Float32[np.ndarray, "_frames *_frame"]
+Frames = Float[np.ndarray, "_frames *_frame"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,16 +28,16 @@ class Ragged:
     memory map, and have unused rows.
     """
 
-    values: Float32[np.ndarray, "rows *frame"]
+    values: Float[np.ndarray, "rows *frame"]
     start_row: Int64[np.ndarray, "sequences"]
     num_frames: Int64[np.ndarray, "sequences"]
 
     @classmethod
-    def of(cls, sequences: Sequence[Frames]) -> "Ragged":
+    def of(cls, sequences: Sequence[Frames], dtype: npt.DTypeLike = np.float32) -> "Ragged":
         """Concatenate a copy of the sequences; raises `ValueError` for none."""
         if not len(sequences):
             raise ValueError("a set would hold no sequence")
-        values = np.concatenate(sequences).astype(np.float32, copy=False)
+        values = np.concatenate(sequences).astype(dtype, copy=False)
         lengths = np.array([len(each) for each in sequences], dtype=np.int64)
         return cls(values, np.cumsum(lengths) - lengths, lengths)
 
@@ -53,9 +53,9 @@ class Ragged:
 
     def select(self, indices: Sequence[int]) -> "Ragged":
         """The sequences at `indices`, in that order."""
-        return Ragged.of([self[index] for index in indices])
+        return Ragged.of([self[index] for index in indices], self.values.dtype)
 
-    def clips(self, first_row: Int64[np.ndarray, "clips"], num_rows: int) -> Float32[np.ndarray, "clips rows *frame"]:
+    def clips(self, first_row: Int64[np.ndarray, "clips"], num_rows: int) -> Float[np.ndarray, "clips rows *frame"]:
         """Stretches of one length that start at these rows of `values`."""
         return self.values[first_row[:, None] + np.arange(num_rows)]
 

@@ -178,6 +178,8 @@ def generated_fields(config: EvalConfig, real: SampleSet) -> tuple[ModelFields, 
                 fields = motions.generate_fields(
                     trained.loaded, windows, config.seed, most, draws=draws, on_motions=work.advance
                 )
+            if not motions.is_framed(fields):
+                fields = {window: motions.remembering(field) for window, field in fields.items()}
             standing = motions.planted_fields(fields)
             rows |= {RowId(name): fields, RowId(name, Variant.PLANTED): standing}
             if detail is not None and not motions.is_framed(fields):

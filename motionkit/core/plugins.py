@@ -7,8 +7,9 @@ listed at once. `ALL` are the names of those stages that `motionkit train --stag
 entry points' names, motionkit's own first, and of the dictionaries.
 """
 
+import sys
 from collections.abc import Callable, Iterator
-from functools import reduce
+from functools import cache, reduce
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
@@ -75,8 +76,14 @@ def listed(kind: Kind, foreign: bool = False) -> Iterator[Any]:
         yield getattr(module, kind, {})
 
 
-def _entry_points() -> list[EntryPoint]:
-    return sorted(entry_points(group=GROUP), key=lambda entry: (not _is_own(entry), entry.name))
+def _entry_points() -> tuple[EntryPoint, ...]:
+    return _entry_points_in(tuple(sys.path))
+
+
+@cache
+def _entry_points_in(folders: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """Those of packages in `sys.path`, whose metadata takes a while to read."""
+    return tuple(sorted(entry_points(group=GROUP), key=lambda entry: (not _is_own(entry), entry.name)))
 
 
 def _is_own(entry: EntryPoint) -> bool:

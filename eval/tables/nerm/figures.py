@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.clip_fid.score import CLIP_FID, describe_clips, draw_clips, feature_input
+from eval.clip_fid.score import CLIP_FID, describer, draw_clips
 from eval.clip_fid.score import REAL as REAL_STREAM
 from eval.metrics.actions import diversity
 from eval.metrics.number import over_replications
@@ -117,11 +117,11 @@ def _diversity(sets: Mapping[Fraction, SampleSet], yardstick: Yardstick) -> dict
     cells = {}
     for fps, every in sets.items():
         protocol, features = yardstick.comparisons[fps].protocol, yardstick.comparisons[fps].features
-        samples, values = feature_input(every, features), []
+        describe, values = describer(every, features), []
         for replication in range(protocol.replications):
-            clips = draw_clips(samples, protocol, replication, REAL_STREAM)
+            clips = draw_clips(every, protocol, replication, REAL_STREAM)
             rng = np.random.default_rng((protocol.seed, replication, 5))
-            values.append(diversity(describe_clips(samples, clips, features), rng))
+            values.append(diversity(describe(clips), rng))
         cells[label(fps)] = cell_of(over_replications(values))
     return cells
 

@@ -5,18 +5,21 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.clip_fid import descriptor as kinematic
 from eval.clip_fid import score
-from eval.clip_fid.descriptor import (
+from eval.clip_fid.score import (
     BLOCKS,
     NUM_FEATURES,
+    REAL,
     SLOW_BANDS,
     WEIGHTS,
+    Clips,
     KinematicDescriptor,
+    Protocol,
     channels,
-    fit_kinematic,
+    describer,
+    draw_clips,
+    fit_on,
 )
-from eval.clip_fid.score import REAL, Protocol, describe_clips, draw_clips, feature_input, fit_on
 from eval.metrics.distributions import Gaussian, fit_gaussian, frechet_distance
 from eval.sets.motions import low_pass
 from eval.sets.sets import SampleSet
@@ -82,13 +85,13 @@ def descriptor(real: SampleSet) -> KinematicDescriptor:
 def test_blocks_have_the_variance_of_their_weights_on_training_clips(
     real: SampleSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kinematic, "LEAST_LOG_SPREAD", 1e-9)
-    monkeypatch.setattr(kinematic, "LEAST_SPREADS", dict.fromkeys(kinematic.LEAST_SPREADS, 1e-9))
+    monkeypatch.setattr(score, "LEAST_LOG_SPREAD", 1e-9)
+    monkeypatch.setattr(score, "LEAST_SPREADS", dict.fromkeys(score.LEAST_SPREADS, 1e-9))
     monkeypatch.setattr(score, "FIT_CLIPS", 512)
     fitted = fit_on(real)
     order = np.random.default_rng((0, score.FIT_REPLICATION)).permutation(real.num_sequences)
-    some = feature_input(real.select(order), fitted)
-    rows = describe_clips(some, draw_clips(some, Protocol(num_clips=512), score.FIT_REPLICATION, REAL), fitted)
+    some = real.select(order)
+    rows = describer(some, fitted)(draw_clips(some, Protocol(num_clips=512), score.FIT_REPLICATION, REAL))
     assert rows.shape[1] == NUM_FEATURES
     for name, block in BLOCKS.items():
         assert rows[:, block].var(axis=0).sum() == pytest.approx(WEIGHTS[name]), name
@@ -96,16 +99,21 @@ def test_blocks_have_the_variance_of_their_weights_on_training_clips(
 
 
 def test_a_clip_has_the_same_features_in_any_set(real: SampleSet, descriptor: KinematicDescriptor) -> None:
-    whole, one = descriptor.frames(real), descriptor.frames(real.select([7]))
-    np.testing.assert_allclose(one[0], whole[7], rtol=1e-6, atol=1e-7)
-    clips = whole.clips(np.arange(40), 24)
-    np.testing.assert_allclose(descriptor.describe(clips[9:11], FPS), descriptor.describe(clips, FPS)[9:11], atol=1e-12)
+    one, length = real.select([7]), int(real.sequences.num_frames[7])
+    start = np.arange(0, length - 24, 5)
+    alone = Clips(np.zeros_like(start), start, np.full_like(start, 24))
+    among = Clips(alone.sequence + 7, start + real.sequences.start_row[7], alone.num_poses)
+    found = describer(one, descriptor)(alone)
+    np.testing.assert_allclose(found, describer(real, descriptor)(among), atol=1e-6)
+    rows = np.diff(descriptor.running_sums(one).values, axis=0, prepend=0.0)
+    means = np.stack([rows[first : first + 24].mean(axis=0) for first in start])
+    np.testing.assert_allclose((means[:, :10] - descriptor.centre[:10]) * descriptor.scale[:10], found[:, :10])
 
 
 def test_noise_above_eight_hertz_neither_wins_nor_loses(real: SampleSet, descriptor: KinematicDescriptor) -> None:
     def gaussian(samples: SampleSet) -> Gaussian:
         clips = draw_clips(samples, Protocol(num_clips=600), 0, REAL)
-        return fit_gaussian(describe_clips(feature_input(samples, descriptor), clips, descriptor))
+        return fit_gaussian(describer(samples, descriptor)(clips))
 
     rng = np.random.default_rng(3)
     slow = [low_pass(take, 120.0, 8.0) for take in real.sequences]
@@ -116,8 +124,6 @@ def test_noise_above_eight_hertz_neither_wins_nor_loses(real: SampleSet, descrip
     assert other == pytest.approx(plain, rel=0.02)
 
 
-def test_other_framerates_and_no_motion_are_refused(real: SampleSet, descriptor: KinematicDescriptor) -> None:
+def test_another_framerate_is_refused(real: SampleSet, descriptor: KinematicDescriptor) -> None:
     with pytest.raises(ValueError, match="fitted at 120"):
-        descriptor.frames(real.with_positions("60", Fraction(60), list(real.sequences)))
-    with pytest.raises(ValueError, match="at least one motion"):
-        fit_kinematic([], FPS)
+        describer(real.with_positions("60", Fraction(60), list(real.sequences)), descriptor)

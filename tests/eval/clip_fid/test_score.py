@@ -15,7 +15,7 @@ from eval.clip_fid.score import (
     ClipError,
     Comparison,
     Protocol,
-    describe_clips,
+    describer,
     draw_clips,
 )
 from eval.sets.sets import SampleSet, sample_set
@@ -79,7 +79,7 @@ def test_clips_lie_inside_their_sequence_and_reach_both_ends() -> None:
 def test_features_come_in_the_order_of_the_clips() -> None:
     samples = ramps("ramps", [80, 90])
     clips = draw_clips(samples, SMALL, 0, REAL)
-    described = describe_clips(samples, clips, FirstAndLastHeight())
+    described = describer(samples, FirstAndLastHeight())(clips)
     np.testing.assert_array_equal(described[:, 0], samples.sequences.values[clips.first_row, 0, 1])
     np.testing.assert_array_equal(described[:, 1] - described[:, 0], clips.num_poses - 1)
 

@@ -68,12 +68,11 @@ def test_a_weighted_gaussian_is_the_gaussian_of_repeated_takes(counts: list[int]
     sums = UnitSums(4, features.mean(axis=0))
     sums.add(features[:25], unit[:25])
     sums.add(features[25:], unit[25:])
-    (found,) = sums.gaussians(np.array([counts], dtype=np.float64))
+    number, mean, covariance = (each[0] for each in sums.gaussians(np.array([counts], dtype=np.float64)))
     expected = fit_gaussian(np.repeat(features, np.array(counts)[unit], axis=0))
-    assert found is not None
-    assert found.num_samples == expected.num_samples
-    np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-12)
-    np.testing.assert_allclose(found.covariance, expected.covariance, atol=1e-12)
+    assert number == expected.num_samples
+    np.testing.assert_allclose(mean, expected.mean, rtol=1e-12)
+    np.testing.assert_allclose(covariance, expected.covariance, atol=1e-12)
 
 
 def test_the_interval_of_a_mean_is_that_of_its_takes_and_not_of_its_values() -> None:
