@@ -201,7 +201,7 @@ def rate_of_change(values: npt.NDArray[np.float64], rate: float) -> npt.NDArray[
 
 def lengths_of(vectors: Vectors) -> Float64[np.ndarray, "*batch"]:
     """The length of each vector; several times as fast as `numpy.linalg.norm` for few coordinates."""
-    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -547,7 +547,7 @@ class Comparison:
                 f"{self.real.name} at {self.real.fps} fps: every clip has the same {self.features.name} features, so "
                 "there is no distribution to compare with; is the motion frozen?"
             )
-        return features.mean(axis=0)
+        return np.asarray(features.mean(axis=0), dtype=np.float64)
 
     def scores(
         self,
@@ -666,7 +666,7 @@ class FeatureSource:
 
     name: str
     title: str
-    fit: Callable[[SampleSet], FeatureSet]
+    fit: Callable[[SampleSet], KinematicDescriptor | FeatureSet]
     note: str = ""
     max_replications: int | None = None
 

@@ -89,7 +89,7 @@ def frechet_distances(
     eigenvalues = np.linalg.eigvalsh(factors.mT @ other_covariances @ factors)
     spread = np.square(factors).sum(axis=(1, 2)) + np.trace(other_covariances, axis1=1, axis2=2)
     spread -= 2.0 * np.sqrt(np.maximum(eigenvalues, 0.0)).sum(axis=1)
-    return np.maximum(np.square(means - other_means).sum(axis=1) + spread, 0.0)
+    return np.asarray(np.maximum(np.square(means - other_means).sum(axis=1) + spread, 0.0), dtype=np.float64)
 
 
 def fid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"]) -> float:

@@ -287,8 +287,8 @@ def mirror(motion: Motion) -> Motion:
 
 
 def mirror_positions(
-    joint_positions: Float32[np.ndarray, "*poses joints 3"], left_right_pairs: tuple[tuple[int, int], ...]
-) -> Float32[np.ndarray, "*poses joints 3"]:
+    joint_positions: Float[np.ndarray, "*poses joints 3"], left_right_pairs: tuple[tuple[int, int], ...]
+) -> Float[np.ndarray, "*poses joints 3"]:
     """The mirror image of joint positions alone, of any number of poses."""
     return joint_positions[..., exchanged(joint_positions.shape[-2], left_right_pairs), :] * FLIP
 

@@ -70,7 +70,7 @@ class Sheet:
         for pair, difference in differences.items():
             self.differences.setdefault(pair, {})[name] = difference
         self.fingerprints[name] = comparison.features.fingerprint
-        size, sets = comparison.num_features, column.rows.values()
+        size, sets = comparison.centre.size, column.rows.values()
         if min(comparison.protocol.num_clips, *(each.num_sequences for each in sets)) <= size:
             self.remarks |= {f"With no more motions or clips than {size} features a covariance is singular.": None}
 

@@ -15,7 +15,7 @@ from torchmetrics.image.fid import FrechetInceptionDistance
 from torchmetrics.image.kid import KernelInceptionDistance
 
 from eval.metrics import distributions
-from eval.metrics.distributions import fid, fid_infinity, fit_gaussian, frechet_distance, kid, prdc
+from eval.metrics.distributions import fid, fid_infinity, fit_gaussian, frechet_distance, frechet_distances, kid, prdc
 from tests.helpers.given_features import GivenFeatures
 
 
