@@ -210,7 +210,8 @@ def _printed(table: str, columns: tuple[str, ...] = ()) -> list[Block]:
     """
 
     def row(figure: Reported) -> str:
-        return "shared" if "shared=yes" in figure.setting else "own parameters" if ablated else figure.method
+        shared = "shared" if "shared=yes" in figure.setting else "own parameters"
+        return f"{shared if ablated else figure.method} (paper)"
 
     def column(figure: Reported) -> str:
         return f"ζ = {figure.setting.split('terms=')[1].split(';')[0]}" if ablated else figure.setting.replace("x", "×")
@@ -306,18 +307,18 @@ def _printed_inbetweening(columns: tuple[str, ...]) -> list[Block]:
     sources = {"pahires": "3", "lafan1": "benchmark", "delta-interp": "benchmark", "ts-former": "benchmark"}
     whose = {"pahires": "PA-HiRes paper", "lafan1": "benchmark"}
     figures = [figure for paper, table in sources.items() for figure in reported_figures(paper, table)]
-    blocks = []
-    for metric, title in WINDOW_METRICS.items():
-        cells: dict[str, dict[str, Cell]] = {}
-        for figure in figures:
-            if figure.value is not None and figure.metric.removesuffix("_percent") == metric:
-                value = round(figure.value / 100, 6) if figure.metric.endswith("_percent") else figure.value
-                name = f"{figure.method} ({whose.get(figure.paper, 'its authors')})"
-                cells.setdefault(name, {})[figure.setting] = Cell(value)
-        rows = tuple(Row(name, "paper", found) for name, found in cells.items())
-        note = f"Sources: {'; '.join(SOURCES[paper] for paper in sources)}." if metric == "npss" else ""
-        blocks.append(Block(f"Printed for LaFAN1: {title}", columns, rows, note=note))
-    return blocks
+    note = f"Sources: {'; '.join(SOURCES[paper] for paper in sources)}."
+    return [
+        printed_block(
+            f"Printed for LaFAN1: {title}",
+            [figure for figure in figures if figure.metric == metric],
+            lambda figure: figure.setting,
+            name=lambda figure: f"{figure.method} ({whose.get(figure.paper, 'its authors')})",
+            columns=columns,
+            note=note,
+        )
+        for metric, title in WINDOW_METRICS.items()
+    ]
 
 
 _table = partial(Table, "pahires")

@@ -206,7 +206,7 @@ def printed_block(
     figures: Iterable[Reported],
     column: Callable[[Reported], str],
     *,
-    name: Callable[[Reported], str] = lambda figure: figure.method,
+    name: Callable[[Reported], str] = lambda figure: f"{figure.method} (paper)",
     columns: tuple[str, ...] = (),
     factor: float = 1.0,
     lower_is_better: bool = True,
@@ -218,7 +218,7 @@ def printed_block(
     for figure in known:
         if figure.value is not None:
             cells.setdefault(name(figure), {})[column(figure)] = Cell(factor * figure.value, figure.ci95)
-    rows = tuple(Row(f"{row} (paper)", "paper", found) for row, found in cells.items())
+    rows = tuple(Row(row, "paper", found) for row, found in cells.items())
     return Block(title, columns or tuple(dict.fromkeys(map(column, known))), rows, lower_is_better, note)
 
 

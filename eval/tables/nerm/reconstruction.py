@@ -175,7 +175,7 @@ def _printed(table: str) -> list[Block]:
             f"Printed in the NeRM paper (HumanML3D): {title}",
             [figure for figure in figures if figure.metric == metric],
             lambda figure: label(figure.setting.partition(";")[0]),
-            name=lambda figure: figure.setting.partition(";")[2].replace("=", " = ") or figure.method,
+            name=lambda figure: f"{figure.setting.partition(';')[2].replace('=', ' = ') or figure.method} (paper)",
             note=f"100 sequences of another data set, trained for far longer. Source: {SOURCES['nerm']}.",
         )
         for metric, title in PRINTED.items()
