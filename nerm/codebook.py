@@ -3,7 +3,7 @@
 Encoder: Conv k3, then twice (Conv k4 stride 2, ResNet-1D with dilations 9, 3, 1), Conv k3: four-fold downsampling in
 time. The decoder mirrors it with nearest upsampling. ReLU, no norm. Codes are moving averages of what they encode.
 
-It is trained on the store at 20 fps, or read from T2M-GPT's own checkpoint. Its pose vectors have 6·J + 1 numbers, 133
+It is trained on the store at 20 fps. Its pose vectors have 6·J + 1 numbers, 133
 for 22 joints: yaw rate (rad/s), root velocity to the body's left and front (m/s), root height (m), joints 1 … J − 1
 relative to the root's ground point and facing Z+ (m, HumanML3D's "RIC" block), velocities of all joints in the same
 axes (m/s). The published vector's rotations and contacts are left out: both are functions of positions.
@@ -14,7 +14,6 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -28,13 +27,10 @@ from motionkit.features import field
 from motionkit.store.cache import PositionCache, open_cache
 from motionkit.training.loop import (
     ALONE,
-    CheckpointError,
     Learner,
     Ranks,
     autocast,
-    foreign_tensors,
     prefixed,
-    read_foreign,
     resolve_device,
     run_training,
     save_tensors,
@@ -61,11 +57,6 @@ class ResidualConvolution(nn.Module):
         """One block."""
         updated: Tensor = x + self.pointwise(torch.relu(self.dilated(torch.relu(x))))
         return updated
-
-
-def residual_stack(width: int) -> nn.Sequential:
-    """Residual convolutions of dilations 9, 3, 1."""
-    return nn.Sequential(*(ResidualConvolution(width, dilation) for dilation in (9, 3, 1)))
 
 
 class Quantiser(nn.Module):
@@ -148,14 +139,17 @@ class CodebookNetwork(nn.Module):
         super().__init__()
         width = config.width
 
+        def residual_stack() -> nn.Sequential:
+            return nn.Sequential(*(ResidualConvolution(width, dilation) for dilation in (9, 3, 1)))
+
         def down() -> list[nn.Module]:
-            return [nn.Conv1d(width, width, 4, stride=2, padding=1), residual_stack(width)]
+            return [nn.Conv1d(width, width, 4, stride=2, padding=1), residual_stack()]
 
         def convolution(inputs: int, outputs: int) -> nn.Conv1d:
             return nn.Conv1d(inputs, outputs, 3, padding=1)
 
         def up() -> list[nn.Module]:
-            return [residual_stack(width), nn.Upsample(scale_factor=2, mode="nearest"), convolution(width, width)]
+            return [residual_stack(), nn.Upsample(scale_factor=2, mode="nearest"), convolution(width, width)]
 
         self.encoder = nn.Sequential(
             convolution(num_features, width), nn.ReLU(), *down(), *down(), convolution(width, width)
@@ -292,51 +286,21 @@ class CodebookTraining:
         loss = share * (terms + COMMITMENT_WEIGHT * commitment)
         self.learner.descend(loss, step, schedule.learning_rate * schedule.factor(step, self.steps))
         which = self.ranks.all_rows(nearest, schedule.batch_size)
+        shares = torch.bincount(which.reshape(-1), minlength=config.network.num_codes).float() / which.numel()
         quantiser.update(everywhere, which, generator)
         return {
             "loss": loss,
             "reconstruction": share * reconstruction,
             "commitment": share * commitment,
-            "perplexity": share * perplexity(which, config.network.num_codes),
+            "perplexity": share * torch.exp(-torch.xlogy(shares, shares).sum()),  # the effective number of codes
         }
 
 
-def perplexity(which: Int64[Tensor, "*shape"], num_codes: int) -> Float32[Tensor, ""]:
-    """exp of the entropy of the codes' use: the effective number of codes."""
-    shares = torch.bincount(which.reshape(-1), minlength=num_codes).float() / which.numel()
-    return torch.exp(-torch.xlogy(shares, shares).sum())
-
-
-PUBLISHED_CODES = "vqvae.quantizer.codebook"
-
-
-def load_published(path: Path) -> Float32[Tensor, "codes dimension"]:
-    """The codes of T2M-GPT's own checkpoint (`net_last.pth`).
-
-    Raises `CheckpointError` for any other file: one that needs unpickling, another network's, an untrained codebook.
-    """
-    codes = foreign_tensors(read_foreign(path), "net", path, "T2M-GPT's VQ-VAE").get(PUBLISHED_CODES)
-    if codes is None or codes.dim() != 2 or not bool(torch.isfinite(codes).all()):
-        raise CheckpointError(f"{path}: net/{PUBLISHED_CODES} is no codebook of finite numbers")
-    if len(torch.unique(codes, dim=0)) < len(codes) // 2:
-        raise CheckpointError(f"{path}: more than half of its codes are copies of others; a trained codebook has none")
-    return codes.float()
-
-
 def train_codebook(context: StageContext, config: NermConfig) -> None:
-    """Train the VQ-VAE, or take the codes of T2M-GPT's own; write codes [N, d] and network to model.safetensors."""
+    """Train the VQ-VAE; write codes [N, d] and network to model.safetensors."""
     store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.codebook, device)
     config = dataclasses.replace(config, codebook=settings)
-    description = {"fps": FPS}
-    weights = settings.published_weights
-    if weights:
-        codes = load_published(Path(weights))
-        folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
-        if ranks.is_first:
-            save_tensors(folder.model_path, {"codes": codes}, description)
-            folder.finish({"codes": len(codes), "from": weights})
-        return
     started = time.perf_counter()
     source = open_cache(store, layout="smpl22", where=settings.where or None)
     sequence_lengths(source, settings)
@@ -347,15 +311,12 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
     if not ranks.is_first:
         return
     tensors = {"codes": training.network.quantiser.codes, "mean": corpus.mean, "scale": corpus.scale}
-    save_tensors(folder.model_path, tensors | prefixed("network", training.network.state_dict()), description)
+    save_tensors(folder.model_path, tensors | prefixed("network", training.network.state_dict()), {"fps": FPS})
     facts = {"poses": len(corpus.vectors), "wall_seconds": round(time.perf_counter() - started, 1)}
     folder.finish({**figures, **facts})
 
 
 def check_codebook(context: StageContext, config: NermConfig) -> None:
-    """Raise early what would stop this stage: no sequence that is long enough, missing published weights."""
-    settings = config.codebook
-    if settings.published_weights:
-        load_published(Path(settings.published_weights))
-    else:
-        sequence_lengths(open_cache(context.open_store(), layout="smpl22", where=settings.where or None), settings)
+    """Raise early what would stop this stage: no sequence that is long enough."""
+    where = config.codebook.where or None
+    sequence_lengths(open_cache(context.open_store(), layout="smpl22", where=where), config.codebook)

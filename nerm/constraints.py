@@ -113,22 +113,21 @@ class ConstraintCost:
 
 @dataclass(frozen=True, eq=False)
 class FootSliding:
-    """The cost of feet that slide while in contact.
+    """The cost of feet that slide while in contact: this makes the gait agree with a given path.
 
-    Contacts are detected in one motion (`with_contacts_of`) and assumed for those near it. This makes the gait agree
-    with a given path.
+    Contacts are detected in the motion of the latent `around`, and assumed for those near it.
     """
 
     joints: JointsOf
-    contact: Float32[Tensor, "steps feet 1"] = torch.zeros(0, 2, 1)
+    around: Float32[Tensor, "latent"]
 
-    @torch.no_grad()
-    def with_contacts_of(self, latent: Float32[Tensor, "latent"]) -> "FootSliding":
-        """The same, with the contacts of a latent's motion."""
-        paths = legs_of(SMPL22).foot_paths(self.joints(latent).numpy()).astype(np.float64)
-        contacts = find_contacts(paths, INSTANTS_PER_SECOND, ground_of(paths, INSTANTS_PER_SECOND))
-        hold = np.minimum(contacts.hold[1:], contacts.hold[:-1])[..., None]
-        return replace(self, contact=torch.from_numpy(hold).float())
+    @cached_property
+    def contact(self) -> Float32[Tensor, "steps feet 1"]:
+        """How far a foot is held between two instants, 0 to 1."""
+        with torch.no_grad():
+            paths = legs_of(SMPL22).foot_paths(self.joints(self.around).numpy()).astype(np.float64)
+        hold = find_contacts(paths, INSTANTS_PER_SECOND, ground_of(paths, INSTANTS_PER_SECOND)).hold
+        return torch.from_numpy(np.minimum(hold[1:], hold[:-1])[..., None]).float()
 
     def cost(self, latent: Float32[Tensor, "latent"]) -> Float32[Tensor, ""]:
         """Squared horizontal speeds of ankles and toes in contact, in units of `FEET_DEVIATION`."""
@@ -204,13 +203,13 @@ def sample_constrained(
     numbers, place = space.standardise(latent[None])[0], goal.place(latent)
     search = Search(numbers, 1.0, latent_of, goal)
     instants = np.arange(int(duration_seconds * INSTANTS_PER_SECOND) + 1) / INSTANTS_PER_SECOND
-    feet, body = FootSliding(joints_at(instants)), joints_at(np.linspace(0.0, duration_seconds, MEDIAN_SAMPLES))
+    of_feet, body = joints_at(instants), joints_at(np.linspace(0.0, duration_seconds, MEDIAN_SAMPLES))
     for _ in range(ROUNDS):
         latent = latent_of(numbers)
         with torch.no_grad():
             bones = _bones(body(latent)).median(dim=0).values if goal.bones is None else goal.bones
-        current = feet.with_contacts_of(latent) if len(instants) > 2 else None
-        numbers, place = replace(search, feet=current, bones=bones).run(ITERATIONS, (numbers, place))
+        feet = FootSliding(of_feet, latent) if len(instants) > 2 else None
+        numbers, place = replace(search, feet=feet, bones=bones).run(ITERATIONS, (numbers, place))
     keeps_bones = any(each.kind != "path" for each in constraints)
     return latent_of(numbers), place, bones if keeps_bones else None
 

@@ -29,7 +29,6 @@ from motionkit.training.loop import (
     with_precision_of,
 )
 from motionkit.training.networks import (
-    Conditions,
     WindowConditions,
     add_noise,
     cumulative_alphas,
@@ -46,6 +45,7 @@ from nerm.paraphrases import with_paraphrases
 from nerm.recipes import DenoiserConfig, NermConfig
 
 WEIGHT_DECAY = 0.01
+# Shares of windows without a condition, and of those with a text and an action that get the action.
 DROP, ACTION_SHARE = 0.1, 0.25
 
 
@@ -58,20 +58,9 @@ class LatentCorpus:
     conditions: WindowConditions
     banks: LocalLatents | None = None
 
-    def __len__(self) -> int:
-        return len(self.means)
-
     def draw(self, rows: Int64[Tensor, "batch"], generator: torch.Generator) -> Float32[Tensor, "batch latent"]:
         """z ~ N(μ_i, Σ_i) for the windows `rows`, resampled at every call (§3.2)."""
         return reparameterized(self.means[rows], self.log_variances[rows], generator)
-
-    def draw_conditions(self, rows: Int64[Tensor, "batch"], generator: torch.Generator) -> Conditions:
-        """One condition per window: none with probability 0.1, else one of its captions or its action.
-
-        Windows with both get the action with probability 0.25.
-        """
-        chance = torch.rand((3, len(rows)), generator=generator)
-        return self.conditions.draw(rows, chance, drop=DROP, action_share=ACTION_SHARE)
 
 
 def corpus_of(
@@ -108,11 +97,11 @@ class DenoiserTraining:
     ) -> None:
         self.config, self.corpus, self.device, self.ranks = config, corpus, device, ranks
         self.first_read = first_read(corpus.means.shape[1], corpus.banks)
-        drawn = corpus.draw(torch.arange(len(corpus)), step_generator(seed, "latent space"))
+        drawn = corpus.draw(torch.arange(len(corpus.means)), step_generator(seed, "latent space"))
         used = in_use(self.first_read, corpus.conditions.duration)
         self.space = measured_space(drawn, used, corpus.banks)
         self.alphas = cumulative_alphas(config.diffusion)
-        self.steps = config.schedule.num_steps(len(corpus))
+        self.steps = config.schedule.num_steps(len(corpus.means))
         with seeded_initialisation(seed, "denoiser"):
             self.denoiser = Denoiser(config.network, self.first_read, corpus.conditions.sizes).to(device)
         optimizer = torch.optim.AdamW(
@@ -125,9 +114,10 @@ class DenoiserTraining:
         """One optimiser step on a fresh batch; returns the loss of Eq. 5 (mean over the numbers in use)."""
         config, diffusion, schedule = self.config, self.config.diffusion, self.config.schedule
         mine = self.ranks.rows_of(schedule.batch_size)
-        rows = torch.randint(len(self.corpus), (schedule.batch_size,), generator=generator)
+        rows = torch.randint(len(self.corpus.means), (schedule.batch_size,), generator=generator)
         latents = self.space.standardise(self.corpus.draw(rows, generator))
-        conditions = self.corpus.draw_conditions(rows, generator)
+        chance = torch.rand((3, len(rows)), generator=generator)
+        conditions = self.corpus.conditions.draw(rows, chance, drop=DROP, action_share=ACTION_SHARE)
         steps = torch.randint(diffusion.num_steps, (schedule.batch_size,), generator=generator)
         noise = torch.randn(latents.shape, generator=generator)
         noisy = add_noise(latents, noise, steps, self.alphas)
@@ -161,7 +151,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     """Train ε_φ on the latents of RUN/field; write the denoiser and what sampling needs to model.safetensors.
 
     Raises `RunError` if the field is missing or was trained on another state of the store (captions are looked up in
-    the store by its windows' sequences), and `UsageError` if it needs texts and no window has any.
+    the store by its windows' sequences).
     """
     store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.denoiser, device)
@@ -175,8 +165,6 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     started = time.perf_counter()
     encoder = _encoder(settings)
     corpus = corpus_of(field, store, encoder, settings.conditions.paraphrases, context.seed)
-    if encoder is not None and not corpus.conditions.num_captions.any():
-        raise _without_captions(f"none of the field's {len(corpus)} training windows", settings)
     folder = context.begin("denoiser", config, store_fingerprint=store.fingerprint, builds_on=("field",))
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
     figures = run_training(context, training, folder)
@@ -190,7 +178,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     facts = {
         "steps": training.steps,
         "parameters": sum(parameter.numel() for parameter in training.denoiser.parameters()),
-        "windows": len(corpus),
+        "windows": len(corpus.means),
         "captions": int(corpus.conditions.num_captions.sum()) // max(1, 2 * settings.conditions.paraphrases),
         "actions": len(corpus.conditions.sizes.actions),
         "wall_seconds": round(time.perf_counter() - started, 1),
@@ -201,21 +189,16 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
 def check_denoiser(context: StageContext, config: NermConfig) -> None:
     """Raise early what would stop this stage: missing captions for a recipe with texts, a missing encoder."""
     settings = config.denoiser
-    if _encoder(settings) is None:
+    if _encoder(settings) is None or context.open_store().columns("captions")["captions"].map(len).any():
         return
-    store = context.open_store()
-    if not store.columns("captions")["captions"].map(len).any():
-        raise _without_captions(f"no sequence of {context.store}", settings)
+    raise UsageError(
+        f"no sequence of {context.store} has a caption, and denoiser.conditions.text_encoder="
+        f"{settings.conditions.text_encoder} learns from texts: ingest again with a table of captions (--captions "
+        "captions.csv --overwrite), or train on actions and unconditionally: motionkit train --set "
+        "denoiser.conditions.text_encoder=none"
+    )
 
 
 def _encoder(settings: DenoiserConfig) -> TextEncoder | None:
     name = settings.conditions.text_encoder
     return None if name == "none" else load_text_encoder(name)
-
-
-def _without_captions(who: str, settings: DenoiserConfig) -> UsageError:
-    return UsageError(
-        f"{who} has a caption, and denoiser.conditions.text_encoder={settings.conditions.text_encoder} learns from "
-        "texts: ingest again with a table of captions (--captions captions.csv --overwrite), or train on actions and "
-        "unconditionally: motionkit train --set denoiser.conditions.text_encoder=none"
-    )

@@ -36,7 +36,6 @@ from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
 from motionkit.training.loop import (
     ALONE,
-    CheckpointError,
     DealtRows,
     Learner,
     Ranks,
@@ -378,16 +377,11 @@ def _corpus(store: Store, settings: FieldConfig) -> tuple[PoseVectors, PositionC
 
 
 def load_codes(run: RunFolder) -> Float32[Tensor, "codes dimension"]:
-    """The codes {e_i} of a run's codebook; raises `RunError` without one, `CheckpointError` for another file."""
+    """The codes {e_i} of a run's codebook; raises `RunError` without one."""
     folder = run.stage("codebook")
     if not folder.is_complete:
         raise RunError(
             f"the time encoding 'codebook' needs the stage codebook of {run.path}: train it first (motionkit train "
             "--stage codebook), or use --set field.encoder.kind=fourier"
         )
-    tensors, _ = load_tensors(folder.model_path)
-    if "codes" not in tensors:
-        raise CheckpointError(
-            f"{folder.model_path} has no codes: train it again (motionkit train --stage codebook --overwrite)"
-        )
-    return tensors["codes"]
+    return load_tensors(folder.model_path)[0]["codes"]

@@ -157,30 +157,26 @@ class TrainedField:
     @torch.no_grad()
     def poses(
         self,
-        latents: Float[Tensor, "batch latent"],
+        latent: Float[Tensor, "latent"],
         times_seconds: Float64[np.ndarray, "times"],
         fps: Fraction,
         context_seconds: Float64[np.ndarray, "context"] | None = None,
-    ) -> list[Poses]:
-        """Each latent's poses in its window's frame, metres, with rotations if the field has learnt them.
+    ) -> Poses:
+        """A latent's poses in its window's frame, metres, with rotations if the field has learnt them.
 
         Times are seconds from the window's start; `fps` is the framerate s. At most `POSES_AT_ONCE` poses are decoded
         at once, to bound memory. A transformer decoder's poses depend on the others decoded with them; with
         `context_seconds`, only on those at these instants.
         """
-        instants = self.vectors.instants(times_seconds)
+        instants, latents = self.vectors.instants(times_seconds), latent[None].float().to(self.device)
         context = np.zeros(0) if context_seconds is None else context_seconds
         at_once = POSES_IN_CONTEXT_AT_ONCE if len(context) else POSES_AT_ONCE
-        vectors = np.empty((len(latents), len(instants), self.vectors.num_features), dtype=np.float32)
-        per_call = max(1, POSES_AT_ONCE // max(1, len(instants)))
-        for start in range(0, len(latents), per_call):
-            some = latents[start : start + per_call].float().to(self.device)
-            for first in range(0, len(instants), at_once):
-                times = slice(first, first + at_once)
-                encoded = self.encode_times(np.concatenate((context, instants[times]))[None], fps)
-                decoded = self.decode_vectors(some, encoded, fps, len(context))
-                vectors[start : start + per_call, times] = decoded[:, len(context) :].cpu().numpy()
-        return [self.vectors.decode(each, instants, times_seconds) for each in vectors]
+        vectors = np.empty((len(instants), self.vectors.num_features), dtype=np.float32)
+        for first in range(0, len(instants), at_once):
+            times = slice(first, first + at_once)
+            encoded = self.encode_times(np.concatenate((context, instants[times]))[None], fps)
+            vectors[times] = self.decode_vectors(latents, encoded, fps, len(context))[0, len(context) :].cpu().numpy()
+        return self.vectors.decode(vectors, instants, times_seconds)
 
     def joints_at(self, times_seconds: Float64[np.ndarray, "times"]) -> JointsOf:
         """Latent → joints at these times, a differentiable function; for a field of `field` vectors."""
@@ -225,7 +221,7 @@ class LatentMotionField:
         context = None
         if self.field.config.decoder.kind == "transformer":
             context = np.linspace(0.0, self.end_seconds, CONTEXT_INSTANTS)
-        return self.field.poses(self.latent[None], times_seconds, self.fps, context)[0]
+        return self.field.poses(self.latent, times_seconds, self.fps, context)
 
     @torch.no_grad()
     def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
@@ -582,9 +578,8 @@ def _with_lengths(motion: MotionField, lengths: Float[np.ndarray, "bones"]) -> D
     poses = motion.query(np.linspace(motion.start_seconds, motion.end_seconds, BONE_SAMPLES))
     bones = Bones.of(poses.joint_positions, motion.skeleton)
     own = np.linalg.norm(bones.offsets[1:], axis=-1, keepdims=True)
-    offsets = bones.offsets.copy()
-    offsets[1:] *= np.where(own > 0, lengths[:, None] / np.where(own > 0, own, 1.0), 1.0)
-    return _on_bones(motion, replace(bones, offsets=offsets))
+    bones.offsets[1:] *= np.where(own > 0, lengths[:, None] / np.where(own > 0, own, 1.0), 1.0)
+    return _on_bones(motion, bones)
 
 
 def _on_bones(motion: MotionField, bones: Bones) -> DerivedField:

@@ -153,13 +153,6 @@ class ResidualLayer(nn.Module):
         return updated
 
 
-def pose_attention(width: int, heads: int) -> nn.TransformerEncoderLayer:
-    """Table 7's alternative to a residual layer: pre-norm self-attention over the poses of a clip."""
-    return nn.TransformerEncoderLayer(
-        width, heads, 2 * width, dropout=0.0, activation="gelu", batch_first=True, norm_first=True
-    )
-
-
 def context_mask(num_context: int, num_poses: int, device: torch.device) -> Bool[Tensor, "poses poses"]:
     """Attention mask: the first poses are a context that attends to itself; any other pose attends to it and to itself.
 
@@ -202,7 +195,10 @@ class FieldNetwork(nn.Module):
         self.layers = nn.ModuleList(
             ResidualLayer(hidden, decoder.activation)
             if decoder.kind == "mlp"
-            else pose_attention(hidden, encoder.num_heads)
+            # Table 7: pre-norm self-attention over the poses of a clip.
+            else nn.TransformerEncoderLayer(
+                hidden, encoder.num_heads, 2 * hidden, 0.0, "gelu", batch_first=True, norm_first=True
+            )
             for _ in range(decoder.num_layers - 1)
         )
         self.linear = None if self.local is None else nn.Linear(num_inputs, num_features, bias=False)

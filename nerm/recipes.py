@@ -16,6 +16,7 @@ from motionkit.features.convention import PoseVectorsName
 from motionkit.training.ablations import Ablation, Ablations, Variant
 from motionkit.training.config import (
     ConfigLike,
+    ConfigT,
     DiffusionConfig,
     Precision,
     Schedule,
@@ -37,10 +38,7 @@ class CodebookNetworkConfig:
 
 @dataclass(frozen=True)
 class CodebookConfig:
-    """The VQ-VAE whose codes enrich the coordinates: T2M-GPT's (Zhang et al. 2023a; appendix B.1).
-
-    `published_weights` is T2M-GPT's own checkpoint, whose codes are used instead of training.
-    """
+    """The VQ-VAE whose codes enrich the coordinates: T2M-GPT's (Zhang et al. 2023a; appendix B.1)."""
 
     where: str = "split = 'train'"
     window_frames: int = 64
@@ -49,7 +47,6 @@ class CodebookConfig:
     schedule: Schedule = Schedule(
         steps=300_000, batch_size=256, learning_rate=2e-4, kind="steps", drop=0.05, drop_every=2 / 3
     )
-    published_weights: str = ""
     precision: Precision = "float32"
 
     def __post_init__(self) -> None:
@@ -248,10 +245,6 @@ class DenoiserConfig:
     ema_decay: float = 0.0
     precision: Precision = "float32"
 
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.ema_decay < 1.0:
-            raise ValueError(f"ema_decay must lie in [0, 1), not {self.ema_decay}")
-
 
 @dataclass(frozen=True)
 class NermConfig:
@@ -275,91 +268,73 @@ def paper() -> NermConfig:
 
 def nano() -> NermConfig:
     """Minutes on two CPU cores: smaller networks, local latents, the settings measured in docs/results."""
+    # At full learning rate the field's first steps undo the linear initialisation; recovering it takes a hundred.
     return NermConfig(
-        codebook=_small_codebook(width=128, num_codes=256, steps=600, batch_size=48, drop_at=480),
-        field=replace(_local_field(steps=8000), contact_steps=800),
-        denoiser=_knot_denoiser(steps=8000, paraphrases=12),
+        _changed(
+            CodebookConfig(),
+            "network.width=128 network.num_codes=256 schedule.steps=600 schedule.batch_size=48 "
+            "schedule.learning_rate=1e-3 schedule.drop_every=0.8",
+        ),
+        _changed(
+            FieldConfig(),
+            "windows.stride_seconds=2 clips.num_poses=8 clips.contiguous=false clips.seconds_per_visit=2.5 "
+            "clips.warmup_fraction=0.02 clips.lowest_fps=20 latents.layout=local latents.initial_log_variance=-8 "
+            "encoder.num_queries=64 encoder.framerate_scale=0.05 decoder.width=256 decoder.activation=silu "
+            "loss.scaling=group loss.root_weight=4 contact_steps=800 precision=auto "
+            "schedule.epochs=none schedule.steps=8000 schedule.batch_size=256 schedule.learning_rate=8e-3 "
+            "schedule.kind=cosine schedule.warmup_fraction=0.05 optimizer.attention_learning_rate=1e-3 "
+            "optimizer.latent_learning_rate=1e-2 optimizer.weight_decay=0",
+        ),
+        _changed(
+            DenoiserConfig(),
+            "network.num_layers=5 network.width=192 network.ffn_width=512 network.dropout=0 network.latent_tokens=8 "
+            "diffusion.prediction=velocity diffusion.sampling_steps=10 diffusion.guidance_scale=2 "
+            "conditions.paraphrases=12 schedule.epochs=none schedule.steps=8000 schedule.learning_rate=2e-3 "
+            "schedule.kind=cosine schedule.warmup_fraction=0.02 ema_decay=0.995 precision=auto",
+        ),
     )
 
 
 def small() -> NermConfig:
     """An hour and a half on two CPU cores: `nano` with mirrored windows, a wider denoiser and more steps."""
-    return apply_overrides(
+    return _changed(
         nano(),
-        [
-            *("field.windows.mirrored=true", "field.schedule.steps=16000"),
-            *("denoiser.network.num_layers=7", "denoiser.network.width=256", "denoiser.network.ffn_width=768"),
-            *("denoiser.schedule.steps=16000", "denoiser.schedule.learning_rate=1.5e-3", "denoiser.ema_decay=0.998"),
-        ],
+        "field.windows.mirrored=true field.schedule.steps=16000 denoiser.network.num_layers=7 "
+        "denoiser.network.width=256 denoiser.network.ffn_width=768 denoiser.schedule.steps=16000 "
+        "denoiser.schedule.learning_rate=1.5e-3 denoiser.ema_decay=0.998",
     )
 
 
 def base() -> NermConfig:
     """An hour on an H100: `nano` at the paper's widths; docs/nerm.md counts the FLOPs."""
-    return apply_overrides(
+    return _changed(
         replace(nano(), codebook=CodebookConfig()),
-        [
-            *("codebook.schedule.steps=20000", "codebook.schedule.drop_every=0.65", "codebook.precision=auto"),
-            *("field.windows.mirrored=true", "field.encoder.num_queries=256", "field.decoder.width=1024"),
-            *("field.schedule.steps=60000", "field.schedule.batch_size=4096", "field.schedule.learning_rate=2e-3"),
-            *("field.optimizer.attention_learning_rate=5e-4", "denoiser.network.num_layers=9"),
-            *("denoiser.network.width=512", "denoiser.network.num_heads=8", "denoiser.network.ffn_width=2048"),
-            *("denoiser.network.dropout=0.1", "denoiser.network.latent_tokens=16", "denoiser.ema_decay=0.9999"),
-            *("denoiser.schedule.steps=80000", "denoiser.schedule.batch_size=256"),
-            "denoiser.schedule.learning_rate=3e-4",
-        ],
+        "codebook.schedule.steps=20000 codebook.schedule.drop_every=0.65 codebook.precision=auto "
+        "field.windows.mirrored=true field.encoder.num_queries=256 field.decoder.width=1024 "
+        "field.schedule.steps=60000 field.schedule.batch_size=4096 field.schedule.learning_rate=2e-3 "
+        "field.optimizer.attention_learning_rate=5e-4 denoiser.network.num_layers=9 denoiser.network.width=512 "
+        "denoiser.network.num_heads=8 denoiser.network.ffn_width=2048 denoiser.network.dropout=0.1 "
+        "denoiser.network.latent_tokens=16 denoiser.schedule.steps=80000 denoiser.schedule.batch_size=256 "
+        "denoiser.schedule.learning_rate=3e-4 denoiser.ema_decay=0.9999",
     )
 
 
 def demo() -> NermConfig:
     """For the embedded corpus, minutes: `nano` with a smaller codebook, sparser windows and fewer steps."""
-    return NermConfig(
-        codebook=_small_codebook(width=64, num_codes=128, steps=120, batch_size=32, drop_at=100),
-        field=_local_field(steps=1200, stride_seconds=5.0),
-        denoiser=_knot_denoiser(steps=1000),
+    return _changed(
+        nano(),
+        "codebook.network.width=64 codebook.network.num_codes=128 codebook.schedule.steps=120 "
+        f"codebook.schedule.batch_size=32 codebook.schedule.drop_every={100 / 120} field.windows.stride_seconds=5 "
+        "field.schedule.steps=1200 field.contact_steps=0 denoiser.schedule.steps=1000 "
+        "denoiser.conditions.paraphrases=0",
     )
 
 
-def _small_codebook(*, width: int, num_codes: int, steps: int, batch_size: int, drop_at: int) -> CodebookConfig:
-    schedule = replace(
-        CodebookConfig().schedule, steps=steps, batch_size=batch_size, learning_rate=1e-3, drop_every=drop_at / steps
-    )
-    return CodebookConfig(network=CodebookNetworkConfig(width, num_codes), schedule=schedule)
+def _changed(config: ConfigT, settings: str) -> ConfigT:
+    return apply_overrides(config, settings.split())
 
 
-def _local_field(*, steps: int, stride_seconds: float = 2.0) -> FieldConfig:
-    return FieldConfig(
-        windows=WindowsConfig(stride_seconds=stride_seconds),
-        clips=ClipsConfig(num_poses=8, contiguous=False, seconds_per_visit=2.5, warmup_fraction=0.02, lowest_fps=20.0),
-        latents=LatentsConfig(layout="local", initial_log_variance=-8.0),
-        encoder=EncoderConfig(num_queries=64, framerate_scale=0.05),
-        decoder=DecoderConfig(width=256, activation="silu"),
-        loss=FieldLossConfig(scaling="group", root_weight=4.0),
-        # At full learning rate the first steps undo the linear initialisation; recovering it takes a hundred.
-        schedule=Schedule(steps=steps, batch_size=256, learning_rate=8e-3, kind="cosine", warmup_fraction=0.05),
-        optimizer=FieldOptimizerConfig(attention_learning_rate=1e-3, latent_learning_rate=1e-2, weight_decay=0.0),
-        precision="auto",
-    )
-
-
-def _knot_denoiser(*, steps: int, paraphrases: int = 0) -> DenoiserConfig:
-    return DenoiserConfig(
-        network=TransformerConfig(num_layers=5, width=192, ffn_width=512, dropout=0.0, latent_tokens=8),
-        diffusion=DiffusionConfig(prediction="velocity", sampling_steps=10, guidance_scale=2.0),
-        conditions=ConditionsConfig(paraphrases=paraphrases),
-        schedule=Schedule(steps=steps, learning_rate=2e-3, kind="cosine", warmup_fraction=0.02),
-        ema_decay=0.995,
-        precision="auto",
-    )
-
-
-RECIPES: dict[str, Callable[[], NermConfig]] = {
-    "nano": nano,
-    "small": small,
-    "demo": demo,
-    "base": base,
-    "paper": paper,
-}
+RECIPES: dict[str, Callable[[], NermConfig]] = {each.__name__: each for each in (nano, small, demo, base, paper)}
 
 
 CODEBOOK = Stage(
@@ -399,7 +374,7 @@ LAYERS = "NeRM, published layers, other training"
 OTHERWISE = "NeRM, global latent (our settings)"
 
 # The paper leaves open the data; NeRM-fixed is in the paper.
-_OPEN = ("where", "pose_vectors", "windows.", "clips.fixed_fps", "conditions.", "published_weights")
+_OPEN = ("where", "pose_vectors", "windows.", "clips.fixed_fps", "conditions.")
 _TRAINING = {"schedule.steps", "schedule.epochs", "schedule.batch_size", "precision"}
 
 
@@ -413,24 +388,19 @@ def row_name(run: RunFolder, field: FieldConfig, denoiser: DenoiserConfig | None
         different |= _differences(denoiser, DenoiserConfig())
     if field.pose_vectors == "field" or different - _TRAINING:
         return OTHERWISE
-    trained = [run.stage(name) for name in ("field", "denoiser") if run.stage(name).is_complete]
-    has_budget = any(stage.read_config().get("budget_seconds") is not None for stage in trained)
-    published = not different and not has_budget and encoder in ("clip", "none") and _has_published_codebook(run)
-    return PUBLISHED if published else LAYERS
+    stages = {name: run.stage(name) for name in ("codebook", "field", "denoiser")}
+    recorded = {name: stage.read_config() for name, stage in stages.items() if stage.is_complete}
+    if "codebook" not in recorded or encoder not in ("clip", "none"):
+        return LAYERS
+    codebook = from_plain(CodebookConfig, recorded["codebook"]["config"]["codebook"])
+    different |= _differences(codebook, CodebookConfig())
+    has_budget = any(recorded[name].get("budget_seconds") is not None for name in recorded.keys() - {"codebook"})
+    return LAYERS if different or has_budget else PUBLISHED
 
 
 def _differences(config: ConfigLike, paper: ConfigLike) -> set[str]:
     theirs = flatten(paper)
     return {key for key, value in flatten(config).items() if not key.startswith(_OPEN) and value != theirs[key]}
-
-
-def _has_published_codebook(run: RunFolder) -> bool:
-    """Whether a run's codebook is T2M-GPT's own, or trained with its settings."""
-    stage = run.stage("codebook")
-    if not stage.is_complete:
-        return False
-    codebook = from_plain(CodebookConfig, stage.read_config()["config"]["codebook"])
-    return bool(codebook.published_weights) or not _differences(codebook, CodebookConfig())
 
 
 # Ablations: the paper's Tables 5 to 9, and ours. A variant is one training run, which tables share, so the paper's full

@@ -127,7 +127,7 @@ def decoding_rate(model: NermModel, repeats: int) -> dict[str, object]:
     with torch.inference_mode():
         peak = inner / cpu_seconds(products, repeats)
         network = flops / cpu_seconds(lambda: field.decode_vectors(latent, encoded, fps), repeats)
-        positions = flops / cpu_seconds(lambda: field.poses(latent, times, fps), repeats)
+        positions = flops / cpu_seconds(lambda: field.poses(latent[0], times, fps), repeats)
     return {
         "poses": len(times),
         "floor_gflops": peak / 1e9,

@@ -98,5 +98,5 @@ def error_mm(trained: TrainedField, latents: torch.Tensor, window: int, fps: int
     row = slice(window, window + 1)
     vectors = field_vectors.encode(truth, trained.windows.yaw[row], trained.windows.origin[row])
     expected = field_vectors.decode(vectors)[0]
-    found = trained.poses(latents[None], times, Fraction(fps))[0].joint_positions
+    found = trained.poses(latents, times, Fraction(fps)).joint_positions
     return float(np.linalg.norm(found - expected, axis=-1).mean() * 1000)

@@ -9,7 +9,7 @@ from motionkit.training.config import apply_overrides
 from motionkit.training.loop import train_loop
 from motionkit.training.networks import NO_ACTION, Conditions, window_conditions
 from motionkit.training.run import RunFolder
-from nerm.denoiser import DenoiserTraining, LatentCorpus
+from nerm.denoiser import ACTION_SHARE, DROP, DenoiserTraining, LatentCorpus
 from nerm.model import TrainedDenoiser, load_denoiser, save_denoiser
 from nerm.recipes import DenoiserConfig, TransformerConfig
 
@@ -105,8 +105,9 @@ def test_what_was_saved_samples_the_same(mixture):
 
 def test_conditions_are_mixed_as_configured():
     corpus = mixture_corpus()
-    rows = torch.arange(len(corpus)).repeat(300)
-    given = corpus.draw_conditions(rows, torch.Generator().manual_seed(0))
+    rows = torch.arange(len(corpus.means)).repeat(300)
+    chance = torch.rand((3, len(rows)), generator=torch.Generator().manual_seed(0))
+    given = corpus.conditions.draw(rows, chance, drop=DROP, action_share=ACTION_SHARE)
     has_text, has_action = given.text.any(1), given.action >= 0
     assert not (has_text & has_action).any()
     captioned = corpus.conditions.num_captions[rows] > 0

@@ -17,7 +17,6 @@ from nerm.recipes import LAYERS, LOCAL, OTHERWISE, PUBLISHED, RECIPES, row_name
         ("paper", "", PUBLISHED),
         ("paper", "field.clips.fixed_fps=20", PUBLISHED),
         ("paper", "denoiser.conditions.text_encoder=none", PUBLISHED),
-        ("paper", "codebook.published_weights=t2m-gpt.pth", PUBLISHED),
         ("paper", "denoiser.conditions.text_encoder=minilm", LAYERS),
         ("paper", "field.schedule.epochs=20", LAYERS),
         ("paper", "budget_seconds=60", LAYERS),
