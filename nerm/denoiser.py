@@ -12,7 +12,7 @@ from torch import Tensor
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import sha256_of
-from motionkit.core.shapes import Float32, Int64
+from motionkit.core.shapes import Float32
 from motionkit.data.captions import actions_of_windows, captions_of_windows
 from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
@@ -58,10 +58,6 @@ class LatentCorpus:
     conditions: WindowConditions
     banks: LocalLatents | None = None
 
-    def draw(self, rows: Int64[Tensor, "batch"], generator: torch.Generator) -> Float32[Tensor, "batch latent"]:
-        """z ~ N(μ_i, Σ_i) for the windows `rows`, resampled at every call (§3.2)."""
-        return reparameterized(self.means[rows], self.log_variances[rows], generator)
-
 
 def corpus_of(
     field: TrainedField, store: Store, encoder: TextEncoder | None, paraphrases: int, seed: int
@@ -97,7 +93,7 @@ class DenoiserTraining:
     ) -> None:
         self.config, self.corpus, self.device, self.ranks = config, corpus, device, ranks
         self.first_read = first_read(corpus.means.shape[1], corpus.banks)
-        drawn = corpus.draw(torch.arange(len(corpus.means)), step_generator(seed, "latent space"))
+        drawn = reparameterized(corpus.means, corpus.log_variances, step_generator(seed, "latent space"))
         used = in_use(self.first_read, corpus.conditions.duration)
         self.space = measured_space(drawn, used, corpus.banks)
         self.alphas = cumulative_alphas(config.diffusion)
@@ -115,7 +111,8 @@ class DenoiserTraining:
         config, diffusion, schedule = self.config, self.config.diffusion, self.config.schedule
         mine = self.ranks.rows_of(schedule.batch_size)
         rows = torch.randint(len(self.corpus.means), (schedule.batch_size,), generator=generator)
-        latents = self.space.standardise(self.corpus.draw(rows, generator))
+        drawn = reparameterized(self.corpus.means[rows], self.corpus.log_variances[rows], generator)  # anew (§3.2)
+        latents = self.space.standardise(drawn)
         chance = torch.rand((3, len(rows)), generator=generator)
         conditions = self.corpus.conditions.draw(rows, chance, drop=DROP, action_share=ACTION_SHARE)
         steps = torch.randint(diffusion.num_steps, (schedule.batch_size,), generator=generator)

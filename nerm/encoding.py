@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motionkit.core.shapes import Float, Float32, Float64, Int, Int64
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.reconstruction import ModelWindows
 from motionkit.data.windows import (
@@ -228,7 +228,16 @@ class NermEncoder:
         return assemble([piece for pieces in parts for piece in pieces])
 
     def _pieces(self, observation: Observation, starts: Float64[np.ndarray, "windows"], length: float) -> list[Piece]:
-        rows = self._rows(observation, starts, length)
+        # Observed frames to fit each window to; repeated if they are fewer than 100.
+        first = np.searchsorted(observation.times_seconds, starts - 1e-9)
+        last = np.searchsorted(observation.times_seconds, starts + length + 1e-9) - 1
+        if (last < first).any():
+            empty = float(starts[np.argmax(last < first)])
+            raise ValueError(
+                f"no pose is observed between {empty:.2f} and {empty + length:.2f} s: a window of "
+                f"{self.trained.max_duration_seconds:g} s (l_max) needs at least one"
+            )
+        rows = np.rint(np.linspace(first, last, POSES_TO_ENCODE_FROM, axis=1)).astype(np.int64)
         positions = observation.poses.joint_positions[rows]
         yaw, origin = field.window_frame(positions[:, 0])
         seconds = observation.times_seconds[rows] - starts[:, None]
@@ -240,30 +249,11 @@ class NermEncoder:
             vectors=field.encode(positions, yaw, origin),
         )
         latents = encode_by_optimisation(self.trained, batch)
+        placed = zip(latents, starts.tolist(), yaw.tolist(), origin.tolist(), strict=True)
         return [
-            Piece(
-                self.trained.as_motion_field(latents[number], length),
-                float(starts[number]),
-                float(yaw[number]),
-                (float(origin[number, 0]), float(origin[number, 1])),
-            )
-            for number in range(len(starts))
+            Piece(self.trained.as_motion_field(latent, length), start, turn, (x, z))
+            for latent, start, turn, (x, z) in placed
         ]
-
-    def _rows(
-        self, observation: Observation, starts: Float64[np.ndarray, "windows"], length: float
-    ) -> Int[np.ndarray, "windows poses"]:
-        """Observed frames to fit each window to; repeated if they are fewer than 100."""
-        times = observation.times_seconds
-        first = np.searchsorted(times, starts - 1e-9)
-        last = np.searchsorted(times, starts + length + 1e-9) - 1
-        if (last < first).any():
-            empty = float(starts[np.argmax(last < first)])
-            raise ValueError(
-                f"no pose is observed between {empty:.2f} and {empty + length:.2f} s: a window of "
-                f"{self.trained.max_duration_seconds:g} s (l_max) needs at least one"
-            )
-        return np.rint(np.linspace(first, last, POSES_TO_ENCODE_FROM, axis=1)).astype(np.int64)
 
 
 def encode_windows(trained: TrainedField, windows: Windows, frames: FrameValues) -> Float32[Tensor, "windows latent"]:
@@ -277,9 +267,6 @@ def encode_windows(trained: TrainedField, windows: Windows, frames: FrameValues)
 
 
 def load(run: Path) -> NermEncoder:
-    """The encoder of a run whose stage `field` is trained.
-
-    Raises what `load_field` raises.
-    """
+    """The encoder of a run whose stage `field` is trained; raises what `load_field` raises."""
     trained = load_field(run)
     return NermEncoder(trained, row_name(RunFolder(run), trained.config))

@@ -67,11 +67,7 @@ class RowAdam:
     A row updated n times has had exactly n steps of dense AdamW; other rows are unchanged, without weight decay.
     """
 
-    def __init__(
-        self,
-        table: Float32[Tensor, "rows width"],
-        weight_decay: float = 0.0,
-    ) -> None:
+    def __init__(self, table: Float32[Tensor, "rows width"], weight_decay: float = 0.0) -> None:
         self.table, self.weight_decay = table, weight_decay
         self.first = torch.zeros_like(table)
         self.second = torch.zeros_like(table)
@@ -251,7 +247,7 @@ def train_field(context: StageContext, config: NermConfig) -> None:
     # All checks come before `begin`, which may remove an earlier run (--overwrite).
     vectors, source, frames = _corpus(store, settings)
     windows = training_windows(source, settings)
-    codes = load_codes(context.run) if settings.encoder.kind == "codebook" else None
+    codes = _codes(context.run) if settings.encoder.kind == "codebook" else None
     builds_on = () if codes is None else ("codebook",)
     folder = context.begin("field", config, store_fingerprint=store.fingerprint, builds_on=builds_on)
     if ranks.is_first and settings.clips.fixed_fps is None and len(np.unique(windows.fps)) == 1:
@@ -278,9 +274,12 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         )
         trained = dataclasses.replace(trained, contacts=contacts)
     save_field(folder, trained)
-    hours = float(windows.duration_seconds.sum()) / 3600
-    facts = {"windows": len(windows), "hours": round(hours, 3), "wall_seconds": round(time.perf_counter() - started, 1)}
-    facts["parameters"] = sum(parameter.numel() for parameter in training.network.parameters())
+    facts = {
+        "windows": len(windows),
+        "hours": round(float(windows.duration_seconds.sum()) / 3600, 3),
+        "wall_seconds": round(time.perf_counter() - started, 1),
+        "parameters": sum(parameter.numel() for parameter in training.network.parameters()),
+    }
     folder.finish({**figures, **facts})
 
 
@@ -376,8 +375,7 @@ def _corpus(store: Store, settings: FieldConfig) -> tuple[PoseVectors, PositionC
     return vectors, *open_frames(vectors, store, where)
 
 
-def load_codes(run: RunFolder) -> Float32[Tensor, "codes dimension"]:
-    """The codes {e_i} of a run's codebook; raises `RunError` without one."""
+def _codes(run: RunFolder) -> Float32[Tensor, "codes dimension"]:
     folder = run.stage("codebook")
     if not folder.is_complete:
         raise RunError(

@@ -32,6 +32,10 @@ from nerm.recipes import FieldConfig
 
 # Of all basis functions, in knot spacings; waves beside the interpolant.
 RADIUS, NUM_WAVES = 3, 3
+NUM_PATH_NUMBERS = 3
+RIDGE, HELD_TIMES = 0.02, 128
+SMALLEST_DEVIATION = 1e-6
+ALWAYS = -1.0
 
 
 @dataclass(frozen=True)
@@ -92,9 +96,6 @@ def mix(
     batch, poses, functions, num_knots = basis.shape
     mixed = torch.bmm(basis.reshape(batch, poses * functions, num_knots), knots)
     return mixed.reshape(batch, poses, functions * knots.shape[-1])
-
-
-NUM_PATH_NUMBERS = 3
 
 
 @dataclass(frozen=True)
@@ -192,9 +193,6 @@ def local_latents(config: FieldConfig) -> LocalLatents | None:
     return LocalLatents(tuple(Bank(count, numbers) for count, numbers in banks), path, config.loss.root_weight)
 
 
-ALWAYS = -1.0
-
-
 def first_read(dimension: int, banks: LocalLatents | None) -> Float32[Tensor, "latent"]:
     """The earliest instant, in units of l_max, at which the field reads each number of z; `ALWAYS` without knots."""
     if banks is None:
@@ -239,9 +237,6 @@ def _moved(
     x, height, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     root = torch.stack((x + sign * path[..., 0], height, z + sign * path[..., 1]), dim=-1)
     return torch.cat((root, vectors[..., 3:]), dim=-1)
-
-
-RIDGE, HELD_TIMES = 0.02, 128
 
 
 def ridge_knots(
@@ -339,9 +334,6 @@ def without_path(
     weights = banks.path.interpolant(coordinates.reshape(-1)).reshape(*coordinates.shape, -1)
     path = (weights @ knots.double()) * units
     return knots, relative_to(standardised, path.float())
-
-
-SMALLEST_DEVIATION = 1e-6
 
 
 @dataclass(frozen=True, eq=False)

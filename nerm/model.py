@@ -64,6 +64,9 @@ POSES_AT_ONCE = 8_192
 # Context poses of a transformer decoder (docs/deviations.md).
 CONTEXT_INSTANTS = 64
 POSES_IN_CONTEXT_AT_ONCE = 1_024
+SAMPLES_PER_BATCH = 256
+BONE_SAMPLES = 200
+NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,9 +289,6 @@ def load_field(run: RunFolder | Path, device: str | torch.device = "cpu") -> Tra
         )
 
 
-SAMPLES_PER_BATCH = 256
-
-
 @dataclass(frozen=True, eq=False)
 class TrainedDenoiser:
     """ε_φ with everything needed to sample latents.
@@ -422,10 +422,6 @@ def load_denoiser(run: RunFolder, device: str | torch.device = "cpu") -> Trained
         )
 
 
-BONE_SAMPLES = 200
-NO_TEXTS = "this model was trained without texts: ask for an action, or for unconditional motions"
-
-
 @dataclass(frozen=True, eq=False)
 class NermModel:
     """A `motionkit.generate.models.GenerativeModel`: a trained field and a denoiser; `name` is its row in tables."""
@@ -541,14 +537,10 @@ class NermModel:
 
     def _embed(self, texts: Sequence[str]) -> Float32[np.ndarray, "texts dimension"]:
         """Unit-length embeddings, zeros for empty texts; each distinct text is encoded once."""
-        rows = np.zeros((len(texts), self.denoiser.layout.text_dimension), dtype=np.float32)
-        distinct = list(dict.fromkeys(text for text in texts if text))
-        if distinct:
-            embedded = dict(zip(distinct, unit_rows(self.text_encoder.encode(distinct)), strict=True))
-            for row, text in enumerate(texts):
-                if text:
-                    rows[row] = embedded[text]
-        return rows
+        embedded = {"": np.zeros(self.denoiser.layout.text_dimension, dtype=np.float32)}
+        if distinct := list(dict.fromkeys(text for text in texts if text)):
+            embedded |= zip(distinct, unit_rows(self.text_encoder.encode(distinct)), strict=True)
+        return np.stack([embedded[text] for text in texts])
 
 
 def unit_rows(embeddings: Float32[np.ndarray, "texts dimension"]) -> Float32[np.ndarray, "texts dimension"]:

@@ -12,29 +12,19 @@ from nerm.latents import in_use, local_latents, placed
 from nerm.recipes import Activation, EncoderConfig, FieldConfig, TransformerConfig
 
 REFERENCE_FPS = 20.0
+NUM_LOGITS, CONTACT_WIDTH, DURATION_FREQUENCIES = 4, 128, 8
 
 
-def distinct(
-    values: Float64[Tensor, "*shape"],
-) -> tuple[Float64[Tensor, "distinct"], Int64[Tensor, "*shape"]]:
-    """The distinct values and the index of each value among them, as `torch.unique` with `return_inverse`.
+def distinct(values: Float64[Tensor, "*shape"]) -> tuple[Float64[Tensor, "padded"], Int64[Tensor, "*shape"]]:
+    """The distinct values, padded with the last one, and the index of each value among them.
 
-    Values are rounded to 2⁻⁴⁰ first, so that an instant shared by two framerates counts once.
+    Values are rounded to 2⁻⁴⁰ first, so that an instant shared by two framerates counts once. The padded length is
+    m · 2ⁿ with m ≤ 16, at most an eighth more: libraries cache their plans per matrix shape, and few shapes keep a
+    step's memory the same at all framerates.
     """
-    rounded = torch.round(values * 2.0**40) / 2.0**40
-    unique, inverse = torch.unique(rounded, return_inverse=True)
-    return unique, inverse
-
-
-def rounded_up(values: Float64[Tensor, "distinct"]) -> Float64[Tensor, "padded"]:
-    """Pad the values with the last one to a length m · 2ⁿ with m ≤ 16: at most an eighth more.
-
-    The number of distinct coordinates differs from step to step, and libraries cache their plans per matrix shape: few
-    shapes keep a step's memory the same at all framerates.
-    """
-    count = len(values)
-    step = 1 << max(0, (count - 1).bit_length() - 4)
-    return torch.cat((values, values[-1:].expand(-count % step)))
+    unique, inverse = torch.unique(torch.round(values * 2.0**40) / 2.0**40, return_inverse=True)
+    step = 1 << max(0, (len(unique) - 1).bit_length() - 4)
+    return torch.cat((unique, unique[-1:].expand(-len(unique) % step))), inverse
 
 
 class FourierFeatures(nn.Module):
@@ -224,7 +214,6 @@ class FieldNetwork(nn.Module):
             # 1 … T at each clip's own framerate (Table 9).
             coordinates = (coordinates + 1.0) * (0.5 * self.config.windows.max_duration_seconds) * fps[:, None] + 1.0
         values, which = distinct(coordinates)
-        values = rounded_up(values)
         return EncodedCoordinates(
             self._features(values), () if self.local is None else self.local.weights(values), which
         )
@@ -236,7 +225,6 @@ class FieldNetwork(nn.Module):
         which = torch.arange(len(values), device=values.device)
         if self.local is not None:
             values, which = distinct(torch.remainder(values + 1.0, self.local.phase_period))
-            values = rounded_up(values)
         features: Tensor = self.fourier(values)
         if self.attention is not None:
             features = self.attention(features)
@@ -289,9 +277,6 @@ class FieldNetwork(nn.Module):
     ) -> Float[Tensor, "batch poses numbers"]:
         """f_θ(t_{v,s}, z, s) for a batch of clips."""
         return self.decode(latents, self.encode_coordinates(coordinates, fps), fps)
-
-
-NUM_LOGITS, CONTACT_WIDTH = 4, 128
 
 
 class ContactHead(nn.Module):
@@ -360,9 +345,6 @@ def step_features(steps: Int64[Tensor, "batch"], width: int) -> Float[Tensor, "b
     frequencies = torch.exp(-math.log(10_000.0) * torch.arange(width // 2, device=steps.device) / (width // 2))
     angles = steps[:, None].to(torch.float32) * frequencies
     return torch.cat((angles.cos(), angles.sin()), dim=1)
-
-
-DURATION_FREQUENCIES = 8
 
 
 class ConditionEmbedding(nn.Module):
@@ -434,12 +416,12 @@ class Denoiser(nn.Module):
     ) -> Float[Tensor, "batch latent"]:
         """The prediction that `DiffusionConfig.prediction` names."""
         used, num_tokens = in_use(self.first_read, conditions.duration), self.config.latent_tokens
-        z = self.latent_in((latents * used).unflatten(1, (num_tokens, -1)))
+        z = self.latent_in((latents * used).view(len(used), num_tokens, -1))
         time = self.step_in(step_features(steps, self.config.width))[:, None]
         tokens = torch.cat((z, time, self.conditions_in(conditions)), dim=1) + self.positions
         mask = None
         if not self.always_whole:
-            is_used = used.unflatten(1, (num_tokens, -1)).any(dim=2)
+            is_used = used.view(len(used), num_tokens, -1).any(dim=2)
             mask = nn.functional.pad(is_used, (0, tokens.shape[1] - num_tokens), value=True)[:, None, None]
         tokens = through_long_skips(tokens, self.layers, self.skips, lambda layer, tokens: layer(tokens, mask))
         out: Tensor = self.noise_out(self.out_norm(tokens[:, :num_tokens]))
