@@ -56,8 +56,6 @@ DETAIL_NOTE = (
 T = TypeVar("T")
 # Models' motions for windows of real sequences.
 ModelFields = Mapping[RowId, Mapping[Window, MotionField]]
-# Differences of two rows with paired intervals.
-Pairs = Mapping[tuple[RowId, RowId], Number]
 
 
 def label(fps: Fraction | str) -> str:
@@ -228,7 +226,8 @@ def make_column(fps: Fraction, real: RealMotion, train: RealMotion, fields: Mode
     reference, rows = column.real, dict(column.rows)
     if fps >= LOW_FPS:
         low = real.at(LOW_FPS)
-        low = low.select([low.sequence_ids.index(sequence_id) for sequence_id in reference.sequence_ids])
+        place = {sequence_id: index for index, sequence_id in enumerate(low.sequence_ids)}
+        low = low.select([place[sequence_id] for sequence_id in reference.sequence_ids])
         rows[SLERP] = motions.upsampled(low, fps, str(SLERP))
         rows[VECTORS] = motions.upsample_as_vectors(low, fps, str(VECTORS))
     for row, samples in generated_at(fields, reference, fps, config.missing).items():
@@ -282,7 +281,7 @@ def score_column(
     subset_sizes: Mapping[RowId, int] | None = None,
     *,
     halves: bool = True,
-) -> tuple[dict[RowId, Cell], Pairs]:
+) -> tuple[dict[RowId, Cell], dict[tuple[RowId, RowId], Number]]:
     """A cell for each row that fits the largest clips, and differences of rows.
 
     With `halves` one cell more, of disjoint halves of the takes (P2).
