@@ -8,50 +8,29 @@ import torch
 from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
 from motionkit.features import field as field_vectors
 from motionkit.features.field import FIELD_VECTORS
-from motionkit.training.config import apply_overrides, setting_text
+from motionkit.training.config import ConfigT, apply_overrides
 from motionkit.training.loop import step_generator
 from nerm.field_training import FieldTraining
 from nerm.model import TrainedField
 from nerm.recipes import FieldConfig
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source
 
-SMALL = apply_overrides(
+
+def changed(config: ConfigT, settings: str) -> ConfigT:
+    """The configuration with settings as `--set` takes them, between spaces."""
+    return apply_overrides(config, settings.split())
+
+
+SMALL = changed(
     FieldConfig(),
-    [
-        "windows.max_duration_seconds=4.0",
-        "latents.layout=local",
-        "latents.initial_log_variance=-9.0",
-        "encoder.framerate_scale=0.05",
-        "latents.knots=16",
-        "latents.knot_numbers=8",
-        "latents.path_knots=16",
-        "encoder.kind=fourier",
-        "encoder.num_frequencies=8",
-        "decoder.width=64",
-        "decoder.num_layers=4",
-        "decoder.activation=silu",
-        "loss.scaling=group",
-        "loss.root_weight=8.0",
-        "schedule.epochs=none",
-        "schedule.steps=300",
-        "schedule.batch_size=4",
-        "clips.num_poses=32",
-        "clips.contiguous=false",
-        "clips.warmup_fraction=0.1",
-        "clips.lowest_fps=20.0",
-        "schedule.learning_rate=0.005",
-        "optimizer.latent_learning_rate=0.02",
-        "schedule.kind=cosine",
-        "optimizer.weight_decay=0.0",
-    ],
+    "windows.max_duration_seconds=4.0 latents.layout=local latents.initial_log_variance=-9.0 "
+    "encoder.framerate_scale=0.05 latents.knots=16 latents.knot_numbers=8 latents.path_knots=16 "
+    "encoder.kind=fourier encoder.num_frequencies=8 decoder.width=64 decoder.num_layers=4 "
+    "decoder.activation=silu loss.scaling=group loss.root_weight=8.0 schedule.epochs=none schedule.steps=300 "
+    "schedule.batch_size=4 clips.num_poses=32 clips.contiguous=false clips.warmup_fraction=0.1 "
+    "clips.lowest_fps=20.0 schedule.learning_rate=0.005 optimizer.latent_learning_rate=0.02 "
+    "schedule.kind=cosine optimizer.weight_decay=0.0",
 )
-
-
-def local_settings(knots: tuple[int, ...], numbers: tuple[int, ...], path_knots: int, *changes: str) -> FieldConfig:
-    """Latents of these banks and of a path."""
-    banks = {"knots": knots, "knot_numbers": numbers, "path_knots": path_knots}
-    settings = [f"latents.{key}={setting_text(value)}" for key, value in banks.items()]
-    return apply_overrides(FieldConfig(), [*settings, "latents.layout=local", "loss.scaling=group", *changes])
 
 
 def small_poses(config: FieldConfig = SMALL) -> WindowPoses:
@@ -68,14 +47,9 @@ def losses_of(training: FieldTraining, steps: int) -> list[float]:
     return [float(training.step(step, step_generator(3, "field", step))["loss"].detach()) for step in range(steps)]
 
 
-BANKED = apply_overrides(
+BANKED = changed(
     SMALL,
-    [
-        "latents.knots=16,8",
-        "latents.knot_numbers=6,4",
-        "latents.path_knots=8",
-        "optimizer.latent_learning_rate=0.01",
-    ],
+    "latents.knots=16,8 latents.knot_numbers=6,4 latents.path_knots=8 optimizer.latent_learning_rate=0.01",
 )
 
 

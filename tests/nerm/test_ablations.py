@@ -17,19 +17,10 @@ from tests.helpers.nerm_corpus import analytic_source
 
 CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))
 SMALLER = (
-    "field.windows.max_duration_seconds=4",
-    "field.windows.stride_seconds=4",
-    "field.decoder.width=24",
-    "field.decoder.num_layers=3",
-    "field.encoder.num_queries=8",
-    "field.encoder.num_frequencies=8",
-    "field.schedule.batch_size=8",
-    "field.schedule.epochs=none",
-    "field.schedule.steps=12",
-    "field.contact_steps=10",
-    "field.schedule.learning_rate=2e-3",
-    "field.optimizer.latent_learning_rate=2e-2",
-    "field.precision=float32",
+    "field.windows.max_duration_seconds=4 field.windows.stride_seconds=4 field.decoder.width=24 "
+    "field.decoder.num_layers=3 field.encoder.num_queries=8 field.encoder.num_frequencies=8 "
+    "field.schedule.batch_size=8 field.schedule.epochs=none field.schedule.steps=12 field.contact_steps=10 "
+    "field.schedule.learning_rate=2e-3 field.optimizer.latent_learning_rate=2e-2 field.precision=float32"
 )
 LAYOUTS = ("global", "local")
 VARIANTS = sorted({variant for ablation in NERM.tables.values() for variant in ablation.variants}, key=lambda v: v.name)
@@ -40,7 +31,7 @@ GLOBAL, LOCAL = (next(each for each in VARIANTS if each.name == layout) for layo
 
 def _settings(recipe: str, *changes: str) -> FieldConfig:
     config: NermConfig = RECIPES[recipe]()
-    return apply_overrides(config, [*SMALLER, *changes]).field
+    return apply_overrides(config, [*SMALLER.split(), *changes]).field
 
 
 def _training(config: FieldConfig, source: PositionCache | None = None) -> FieldTraining:

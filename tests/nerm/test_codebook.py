@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from motionkit.fields.resample import resample_positions
-from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
 from nerm.codebook import (
     CodebookNetwork,
@@ -17,17 +16,12 @@ from nerm.codebook import (
 )
 from nerm.recipes import CodebookConfig, paper
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source
+from tests.nerm.small_fields import changed
 
-SMALL = apply_overrides(
+SMALL = changed(
     CodebookConfig(window_frames=16),
-    [
-        "network.width=24",
-        "network.num_codes=32",
-        "schedule.batch_size=16",
-        "schedule.steps=40",
-        "schedule.learning_rate=0.002",
-        "schedule.kind=constant",
-    ],
+    "network.width=24 network.num_codes=32 schedule.batch_size=16 schedule.steps=40 "
+    "schedule.learning_rate=0.002 schedule.kind=constant",
 )
 
 

@@ -5,27 +5,20 @@ import pytest
 import torch
 
 from motionkit.generate.models import SamplingOptions
-from motionkit.training.config import apply_overrides
 from motionkit.training.loop import train_loop
-from motionkit.training.networks import NO_ACTION, Conditions, window_conditions
+from motionkit.training.networks import NO_ACTION, Conditions, guided, window_conditions
 from motionkit.training.run import RunFolder
 from nerm.denoiser import ACTION_SHARE, DROP, DenoiserTraining, LatentCorpus
 from nerm.model import TrainedDenoiser, load_denoiser, save_denoiser
 from nerm.recipes import DenoiserConfig, TransformerConfig
+from tests.nerm.small_fields import changed
 
 TEXTS = ("a person walks", "someone is walking", "a jump")
 NETWORK = TransformerConfig(num_layers=3, width=32, num_heads=2, ffn_width=64, dropout=0.0, latent_tokens=2)
-CONFIG = apply_overrides(
+CONFIG = changed(
     DenoiserConfig(network=NETWORK, ema_decay=0.98),
-    [
-        "conditions.text_encoder=none",
-        "diffusion.guidance_scale=2.0",
-        "schedule.batch_size=64",
-        "schedule.steps=350",
-        "schedule.epochs=none",
-        "schedule.learning_rate=0.003",
-        "schedule.kind=cosine",
-    ],
+    "conditions.text_encoder=none diffusion.guidance_scale=2.0 schedule.batch_size=64 schedule.steps=350 "
+    "schedule.epochs=none schedule.learning_rate=0.003 schedule.kind=cosine",
 )
 WALK_MEAN, JUMP_MEAN = torch.full((8,), 3.0), torch.tensor([-1.0, 5.0] * 4)
 
@@ -118,3 +111,23 @@ def test_conditions_are_mixed_as_configured():
     shares = given.text[walking].mean(0)
     assert shares[:2].tolist() == pytest.approx([0.5, 0.5], abs=0.03)
     assert shares[2:].tolist() == [0.0, 0.0]
+
+
+def test_guidance_is_equation_6_in_one_batch_and_keeps_the_duration():
+    given = Conditions.zero_masked(torch.randn(3, 5), torch.arange(3) % 2, torch.linspace(0.2, 1.0, 3))
+    nothing, batches = given.unconditional(), []
+    assert not nothing.text.any() and set(nothing.action.tolist()) == {NO_ACTION}
+    assert torch.equal(nothing.duration, given.duration)
+
+    def denoiser(latents, steps, given):
+        batches.append(len(latents))
+        return latents + given.text.sum(dim=1, keepdim=True) + 10 * given.action[:, None] + given.duration[:, None]
+
+    latents, steps = torch.randn(3, 4), torch.full((3,), 7)
+    found = guided(denoiser, latents, steps, given, nothing, 7.5)
+    expected = 7.5 * denoiser(latents, steps, given) - 6.5 * denoiser(latents, steps, nothing)
+    torch.testing.assert_close(found, expected)
+    # A guidance of one, or of nothing, is a single pass.
+    guided(denoiser, latents, steps, given, nothing, 1.0)
+    guided(denoiser, latents, steps, nothing, nothing, nothing.guidance(7.5))
+    assert batches == [6, 3, 3, 3, 3] and given.guidance(7.5) == 7.5

@@ -111,24 +111,16 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 
 TINY = (
-    "field.encoder.kind=fourier",
-    "field.windows.max_duration_seconds=4",
-    "field.windows.stride_seconds=4",
-    "field.decoder.width=48",
-    "field.decoder.num_layers=3",
-    "field.schedule.steps=120",
-    "field.contact_steps=10",
-    "field.schedule.batch_size=4",
-    "field.clips.num_poses=16",
-    "field.precision=float32",
-    "field.windows.mirrored=true",
+    "field.encoder.kind=fourier field.windows.max_duration_seconds=4 field.windows.stride_seconds=4 "
+    "field.decoder.width=48 field.decoder.num_layers=3 field.schedule.steps=120 field.contact_steps=10 "
+    "field.schedule.batch_size=4 field.clips.num_poses=16 field.precision=float32 field.windows.mirrored=true"
 )
 
 
 @pytest.mark.parametrize("name", ["field", "native", "rotations"])
 def test_a_field_of_each_convention_trains_saves_and_decodes(store: Store, name: str, tmp_path: Path) -> None:
     layout = () if name == "field" else ("field.latents.layout=global", "field.optimizer.latent_learning_rate=0.1")
-    config = apply_overrides(nano(), [*TINY, *layout, f"field.pose_vectors={name}"])
+    config = apply_overrides(nano(), [*TINY.split(), *layout, f"field.pose_vectors={name}"])
     train_field(StageContext(store.path, RunFolder(tmp_path / "run"), "nano", device="cpu"), config)
     trained = load_field(tmp_path / "run")
     cache, frames = open_frames(trained.vectors, store, None)

@@ -30,7 +30,7 @@ from nerm.latents import (
 from nerm.network import FieldNetwork
 from nerm.recipes import FieldConfig
 from tests.helpers.nerm_corpus import analytic_positions, corpus_in_memory
-from tests.nerm.small_fields import local_settings
+from tests.nerm.small_fields import changed
 
 TIMES = torch.linspace(-1, 1, 301, dtype=torch.float64)
 
@@ -87,9 +87,9 @@ def test_the_linear_model_describes_somebody_who_walks_in_circles() -> None:
     assert float((found - vectors).norm(dim=-1).mean()) < 0.4
 
 
-TINY = ("decoder.width=16", "decoder.num_layers=2", "encoder.kind=none")
-ONE_BANK = local_settings((8,), (4,), 8, *TINY)
-TWO_BANKS = local_settings((16, 8), (2, 3), 8, *TINY)
+TINY = "latents.layout=local loss.scaling=group decoder.width=16 decoder.num_layers=2 encoder.kind=none "
+ONE_BANK = changed(FieldConfig(), TINY + "latents.knots=8 latents.knot_numbers=4 latents.path_knots=8")
+TWO_BANKS = changed(FieldConfig(), TINY + "latents.knots=16,8 latents.knot_numbers=2,3 latents.path_knots=8")
 
 
 @pytest.mark.parametrize("share", [0.05, 0.31, 1.0])

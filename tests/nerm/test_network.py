@@ -8,21 +8,12 @@ from motionkit.training.networks import Conditions, ConditionSizes
 from nerm.latents import ALWAYS, in_use
 from nerm.network import Denoiser, FieldNetwork, attention
 from nerm.recipes import RECIPES, FieldConfig, TransformerConfig
+from tests.nerm.small_fields import changed
 
-TINY = apply_overrides(
+TINY = changed(
     FieldConfig(),
-    [
-        "latents.dimension=32",
-        "latents.knots=8",
-        "latents.knot_numbers=4",
-        "latents.path_knots=4",
-        "encoder.num_queries=8",
-        "encoder.num_frequencies=8",
-        "decoder.width=24",
-        "decoder.num_layers=3",
-        "schedule.epochs=none",
-        "schedule.steps=1",
-    ],
+    "latents.dimension=32 latents.knots=8 latents.knot_numbers=4 latents.path_knots=4 encoder.num_queries=8 "
+    "encoder.num_frequencies=8 decoder.width=24 decoder.num_layers=3 schedule.epochs=none schedule.steps=1",
 )
 CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))
 LOCAL = ("latents.layout=local", "loss.scaling=group")
