@@ -140,14 +140,12 @@ class ClipEncoder(nn.Module):
 
 
 class Nemf(PeerNetwork):
-    """NeMF, stage 2: poses at any time from a local latent; the root's orientation from a second latent as well."""
+    """NeMF, stage 2: poses at any time from a local latent, the root's turns from a second one; no condition."""
 
     def __init__(self, config: NemfNetworkConfig, inputs: NetworkInputs) -> None:
         super().__init__()
         path = inputs.earlier
         assert isinstance(path, NemfPath)
-        if inputs.conditions.text_dimension or inputs.conditions.actions:
-            raise UsageError("NeMF takes no texts and no actions: conditions.kind=none")
         self.path = (path,)  # in a tuple: frozen, and saved with its own stage
         self.config, self.space, layout = config, inputs.space, inputs.space.layout
         self.num_positions = layout.joint_positions.stop - layout.joint_positions.start
