@@ -3,19 +3,19 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from eval.sets.motions import of_split_and
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
-from motionkit.core.shapes import Float32, Float64, Int64
+from motionkit.core.shapes import Float32, Int64
 from motionkit.data.rotation_sequences import open_rotation_sequences
 from motionkit.store.cache import open_cache
+from motionkit.store.reader import Store
 
-if TYPE_CHECKING:
-    from motionkit.store.reader import Store
+Positions = Float32[np.ndarray, "clips frames joints 3"]
+Vectors = Float32[np.ndarray, "clips frames numbers"]
 
 
 class NoTakesError(MotionkitError):
@@ -36,7 +36,7 @@ class DataSet:
         """CMU, 30 fps."""
         return f"{self.name}, {float(self.fps):g} fps"
 
-    def holds(self, store: "Store", sequence_index: Int64[np.ndarray, "sequences"]) -> np.ndarray:
+    def holds(self, store: Store, sequence_index: Int64[np.ndarray, "sequences"]) -> np.ndarray:
         """Which of these sequences belong to it."""
         column = store.columns(self.column)[self.column].loc[sequence_index]
         return np.asarray(column.str.lower() == self.value)
@@ -52,42 +52,24 @@ PUBLISHED = (
 USUAL_FPS = Fraction(30)
 
 
-def data_sets_of(store: "Store", fps: Sequence[Fraction] | None = None) -> list[DataSet]:
+def data_sets_of(store: Store, fps: Sequence[Fraction] | None = None) -> list[DataSet]:
     """The paper's data sets, then the store's other sources at 30 fps; all of them at `fps` where it is given."""
     rows = store.columns("source", "source_format")
     published = np.zeros(len(rows), dtype=bool)
     for known in PUBLISHED:
         published |= np.asarray(rows[known.column].str.lower() == known.value)
     others = sorted({str(name) for name in rows["source"][~published]})
-    found = [*PUBLISHED, *(DataSet(name or "unnamed source", "source", name.lower(), USUAL_FPS) for name in others)]
+    data_sets = [*PUBLISHED, *(DataSet(name or "unnamed source", "source", name.lower(), USUAL_FPS) for name in others)]
     if fps is None:
-        return found
-    rates = {(each.column, each.value, rate): replace(each, fps=rate) for each in found for rate in fps}
-    own = {(each.column, each.value, each.fps): each for each in found}
-    return [own.get(key, each) for key, each in rates.items()]
+        return data_sets
+    return list(dict.fromkeys(replace(each, fps=rate) for each in data_sets for rate in fps))
 
 
-@dataclass(frozen=True, eq=False)
-class TruePoses:
-    """World positions in metres and rotation rows (`features.rotations`) of clips at `fps`, in the 22-joint layout."""
-
-    fps: Fraction
-    joint_positions: Float32[np.ndarray, "clips frames joints 3"]
-    vectors: Float32[np.ndarray, "clips frames numbers"]
-
-    @property
-    def times_seconds(self) -> Float64[np.ndarray, "frames"]:
-        """Frame k is at k / fps."""
-        numbers = np.arange(self.vectors.shape[1], dtype=np.float64)
-        return np.asarray(numbers * self.fps.denominator / self.fps.numerator)
-
-    def local_rotations(self) -> Float32[np.ndarray, "clips frames joints 4"]:
-        """Unit quaternions."""
-        return matrix_to_quaternion(closest_rotations(self.vectors[..., 3:])).astype(np.float32)
-
-    def frames(self, frames: slice) -> "TruePoses":
-        """Some frames of all clips."""
-        return TruePoses(self.fps, self.joint_positions[:, frames], self.vectors[:, frames])
+def local_rotations(
+    vectors: Float32[np.ndarray, "*frames numbers"],
+) -> Float32[np.ndarray, "*frames joints 4"]:
+    """Unit quaternions of rotation rows (`features.rotations`)."""
+    return matrix_to_quaternion(closest_rotations(vectors[..., 3:])).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,30 +91,20 @@ class TrueClips:
     num_other_fps: int
 
     @property
-    def num_clips(self) -> int:
-        """Number of clips."""
-        return len(self.first_row)
-
-    @property
     def takes(self) -> tuple[str, ...]:
         """The take of each clip, named by its index in the store."""
         return tuple(map(str, self.sequence_index.tolist()))
 
-    @property
-    def num_takes(self) -> int:
-        """Number of takes that the clips come from."""
-        return len(set(self.takes))
-
-    def read(self, size: int) -> Iterator[tuple[slice, TruePoses]]:
-        """The poses of all clips, `size` clips at a time, and which clips these are."""
-        for first in range(0, self.num_clips, size):
+    def read(self, size: int) -> Iterator[tuple[slice, Positions, Vectors]]:
+        """Which clips, their positions in the world in metres and their rotation rows, `size` clips at a time."""
+        for first in range(0, len(self.first_row), size):
             clips = slice(first, first + size)
             frames = np.arange(self.num_frames) * self.keep_every[clips, None] + self.first_row[clips, None]
-            yield clips, TruePoses(self.fps, self.positions[frames], self.rows[frames])
+            yield clips, self.positions[frames], self.rows[frames]
 
 
 def open_clips(
-    store: "Store", data_set: DataSet, split: str, where: str | None, num_frames: int, every: int
+    store: Store, data_set: DataSet, split: str, where: str | None, num_frames: int, every: int
 ) -> TrueClips:
     """Clips of `num_frames` frames from every `every`-th frame on, of the takes of one split ("all": any).
 
@@ -147,8 +119,8 @@ def open_clips(
     belongs = data_set.holds(store, takes.sequence_index)
     long_enough = belongs & (takes.num_frames >= num_frames)
     if not data_set.holds(store, store.select(None)).any():
-        looked_for = f"{data_set.column} = {data_set.value!r}"
-        raise NoTakesError(f"the store has none of it (motionkit ingest; {looked_for} is what is looked for)")
+        condition = f"{data_set.column} = {data_set.value!r}"
+        raise NoTakesError(f"the store has none of it (motionkit ingest; {condition} is what is looked for)")
     if not long_enough.any():
         of_split = ("" if split == "all" else f" of split {split!r}") + (f" where {where}" if where else "")
         rate, few = f"a whole multiple of {float(data_set.fps):g} fps", f"{int(belongs.sum())} are shorter"
@@ -172,7 +144,7 @@ def open_clips(
     )
 
 
-def split_remark(store: "Store", clips: TrueClips, split: str) -> str:
+def split_remark(store: Store, clips: TrueClips, split: str) -> str:
     """A remark on the performers of these clips, and how many of them are in the training split too."""
     rows = store.columns("source", "subject", "split")
     if (rows["subject"].loc[clips.sequence_index] == "").all():

@@ -1,6 +1,5 @@
 """The rows of the completion tables: interpolators, and the trained encoders of runs."""
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -25,7 +24,7 @@ from motionkit.fields.motion_field import (
     at_fps,
     check_observed_alike,
 )
-from motionkit.training.run import RunFolder, Task, commit, recorded_settings, versions
+from motionkit.training.run import RunFolder, Task
 
 
 @dataclass(frozen=True)
@@ -61,34 +60,33 @@ LINEAR, CUBIC = RowCurves("linear"), RowCurves("cubic")
 
 @dataclass(frozen=True)
 class Completer:
-    """A row: an encoder, its description, and a fingerprint of everything its figures depend on beside the protocol.
+    """A row: an encoder, its description, and of a trained one the weights' hash and `facts` of its training.
 
     `form` is the form of a trained network's output (`Form` of its settings), or empty: rows of different forms are
-    not a comparison of networks alone. `facts` describe its training.
+    not a comparison of networks alone.
     """
 
     name: str
     encoder: MotionEncoder | BatchEncoder
     note: str
-    fingerprint: str
     trained: bool = False
     form: str = ""
+    weights_sha256: str = ""
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
-HOLD = Completer("hold", INTERPOLATORS["hold"], "each given pose until the next one", "hold/1")
+HOLD = Completer("hold", INTERPOLATORS["hold"], "each given pose until the next one")
 INTERPOLATION = (
     HOLD,
-    Completer("linear", LINEAR, "straight lines through the pose's 135 numbers (rotations as two columns)", "linear/1"),
-    Completer("SLERP", INTERPOLATORS["slerp"], "rotations on great arcs, root on straight lines", "slerp/1"),
+    Completer("linear", LINEAR, "straight lines through the pose's 135 numbers (rotations as two columns)"),
+    Completer("SLERP", INTERPOLATORS["slerp"], "rotations on great arcs, root on straight lines"),
     Completer(
         "Catmull-Rom",
         INTERPOLATORS["rotation-catmull-rom"],
         "Hermite curves on the logarithms of turns between quaternions",
-        "catmull-rom/1",
     ),
-    Completer("SQUAD", INTERPOLATORS["squad"], "spherical quadrangles, root Catmull-Rom", "squad/1"),
-    Completer("cubic spline", CUBIC, "not-a-knot spline through the pose's 135 numbers", "cubic/1"),
+    Completer("SQUAD", INTERPOLATORS["squad"], "spherical quadrangles, root Catmull-Rom"),
+    Completer("cubic spline", CUBIC, "not-a-knot spline through the pose's 135 numbers"),
 )
 
 
@@ -100,48 +98,47 @@ def trained_completers(
     Encoders missing in `run` are reported with a run that has them; without a run, none is missing. Raises
     `UsageError` for an unknown name, `DamagedFileError`, and what loading a requested encoder raises.
     """
-    found: list[Completer] = []
-    asked = {name for name, _ in more}
+    completers: list[Completer] = []
+    requested = {name for name, _ in more}
     for name, loader in installed_encoders(task).items():
         if run is not None and loader.complete_in(run):
             try:
-                found.append(completer_of(name, run))
+                completers.append(completer_of(name, run))
             except DamagedFileError:
                 raise
             except MotionkitError as error:
                 missing.add(f"{loader.title}: {error}")
-        elif run is not None and name not in asked:
+        elif run is not None and name not in requested:
             missing.add(f"{loader.title}: not trained ({loader.train_command(run)})")
     for name, folder in more:
         row = completer_of(name, folder)
-        found.append(replace(row, name=f"{row.name} ({folder.name})"))
-    return found
+        completers.append(replace(row, name=f"{row.name} ({folder.name})"))
+    return completers
 
 
 def completer_of(name: str, run: Path) -> Completer:
     """The row of a run's trained encoder; raises what loading it raises."""
     loader = encoder_loader(name)
     encoder = loader.load(run)
-    stage = RunFolder(run).stage(loader.stages[-1])
-    digest = hashlib.sha256(stage.model_path.read_bytes()).hexdigest() if stage.model_path.is_file() else str(run)
-    begun = stage.read_config() if stage.config_path.is_file() else {}  # other packages' runs may be anything
-    training = recorded_settings(RunFolder(run), loader.stages[-1]).get("training", {}) if begun else {}
+    folder, stage = RunFolder(run), loader.stages[-1]
+    # Another package's run may have no config.json.
+    recorded = folder.stage(stage).read_config() if folder.stage(stage).config_path.is_file() else {}
+    training = recorded.get("config", {}).get("training", {})
     schedule, answer = training.get("schedule", {}), training.get("answer", {})
-    form = str(answer.get("form", ""))
+    form = answer.get("form", "")
     notes = [f"run {run.name!r}"]
-    if schedule.get("steps") is not None:
-        notes.append(f"{schedule['steps']:,} steps of {schedule.get('batch_size')}")
+    if "steps" in schedule:
+        notes.append(f"{schedule['steps']:,} steps of {schedule['batch_size']}")
     if form:
-        notes.append(form if form == "plain" else f"{form} corrections of {answer.get('base')}")
+        notes.append(form if form == "plain" else f"{form} corrections of {answer['base']}")
     return Completer(
         encoder.name,
         encoder,
         ", ".join(notes),
-        # Figures depend on the code too, so they are cached per commit.
-        f"{name}-{digest}-{commit() or versions()['motionkit']}",
         trained=True,
         form=form,
-        facts={name: begun[name] for name in ("commit", "recipe", "seed", "config") if name in begun},
+        weights_sha256=folder.fingerprints([stage]).get(stage, ""),
+        facts={key: recorded[key] for key in ("commit", "recipe", "seed", "config") if key in recorded},
     )
 
 

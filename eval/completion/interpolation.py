@@ -10,7 +10,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.completion.data_sets import TrueClips
+from eval.completion.data_sets import TrueClips, Vectors, local_rotations
 from eval.completion.encoders import Completer, query_many
 from eval.completion.scores import Scores, add_clips
 from eval.metrics.motion import to_unit_range
@@ -62,16 +62,12 @@ class PoseScale:
     std: Float64[np.ndarray, "numbers"]
     varies: Bool[np.ndarray, "all_numbers"]
 
-    def unit_range(
-        self, vectors: Float32[np.ndarray, "clips frames all_numbers"]
-    ) -> Float64[np.ndarray, "clips frames numbers"]:
+    def unit_range(self, vectors: Vectors) -> Float64[np.ndarray, "clips frames varying"]:
         """0.5 + (x − μ)/(4σ) of the numbers that vary."""
         return to_unit_range(vectors[..., self.varies], self.mean, self.std)
 
 
-def in_first_frame(
-    vectors: Float32[np.ndarray, "clips frames numbers"], first: Float32[np.ndarray, "clips numbers"]
-) -> Float32[np.ndarray, "clips frames numbers"]:
+def in_first_frame(vectors: Vectors, first: Float32[np.ndarray, "clips numbers"]) -> Vectors:
     """Vectors of the world in each clip's own frame: origin under the root of its first pose, which faces Z+."""
     return rotations.to_window(vectors, rotations.heading(first, SMPL22), first[:, (0, 2)].astype(np.float64))
 
@@ -82,16 +78,16 @@ def measure_scale(clips: TrueClips) -> PoseScale:
     The root's x and z share a deviation; a number has at least a quarter of its group's (root mean square over those
     that vary). Groups: the root's path, its height, its rotation, the joints' rotations.
     """
-    every = (poses.vectors for _, poses in clips.read(TRAINING_CLIPS_AT_ONCE))
-    found = stream(in_first_frame(rows, rows[:, 0]).reshape(-1, rows.shape[-1]) for rows in every)
-    variance = found.std**2
+    batches = clips.read(TRAINING_CLIPS_AT_ONCE)
+    moments = stream(in_first_frame(rows, rows[:, 0]).reshape(-1, rows.shape[-1]) for _, _, rows in batches)
+    variance = moments.std**2
     varies = variance > CONSTANT**2
     variance[ROOT_PATH] = variance[ROOT_PATH].mean()
     for group in GROUPS:
         present = variance[group][varies[group]]
         if present.size:
             variance[group] = np.maximum(variance[group], FLOOR_SHARE**2 * present.mean())
-    return PoseScale(found.mean[varies], np.sqrt(variance[varies]), varies)
+    return PoseScale(moments.mean[varies], np.sqrt(variance[varies]), varies)
 
 
 def measure_interpolation(
@@ -103,32 +99,34 @@ def measure_interpolation(
     encoder fails.
     """
     scores: Scores = {}
-    for part, whole in clips.read(CLIPS_AT_ONCE):
-        takes, whole_rotations = clips.takes[part], whole.local_rotations()
+    for batch, whole_positions, whole_vectors in clips.read(CLIPS_AT_ONCE):
+        takes, whole_rotations = clips.takes[batch], local_rotations(whole_vectors)
         for each in scales:
             given = given_frames(each)
-            truth, turns = whole.frames(slice(0, given[-1] + 1)), whole_rotations[:, : given[-1] + 1]
-            synthesised = np.isin(np.arange(given[-1] + 1), given, invert=True)
+            frames = np.arange(given[-1] + 1)
+            times = frames.astype(np.float64) * clips.fps.denominator / clips.fps.numerator
+            synthesised = np.isin(frames, given, invert=True)
+            true_positions, true_rotations = whole_positions[:, frames], whole_rotations[:, frames]
             observed = [
-                Observation(
-                    truth.times_seconds[given], Poses(positions[given], turned[given], positions[given, 0]), SMPL22
-                )
-                for positions, turned in zip(truth.joint_positions, turns, strict=True)
+                Observation(times[given], Poses(positions[given], local[given], positions[given, 0]), SMPL22)
+                for positions, local in zip(true_positions, true_rotations, strict=True)
             ]
-            made = [
+            predicted = [
                 poses if poses.local_rotations is not None else rotations.rows_of_poses(poses, SMPL22).poses()
-                for poses in query_many(completer.encoder, observed, truth.times_seconds, truth.fps)
+                for poses in query_many(completer.encoder, observed, times, clips.fps)
             ]
-            positions = np.stack([poses.joint_positions for poses in made])
-            turned = np.stack([poses.local_rotations for poses in made if poses.local_rotations is not None])
+            positions = np.stack([poses.joint_positions for poses in predicted])
+            turned = np.stack([poses.local_rotations for poses in predicted if poses.local_rotations is not None])
             vectors = np.concatenate((positions[:, :, 0], rotations.two_columns(turned)), axis=-1)
-            pair = [scale.unit_range(in_first_frame(rows, truth.vectors[:, 0])) for rows in (vectors, truth.vectors)]
+            both = (vectors, whole_vectors[:, frames])
+            pair = [scale.unit_range(in_first_frame(rows, whole_vectors[:, 0])) for rows in both]
             label = scale_label(each)
             add_clips(scores, label, takes, "psnr", *pair, synthesised=synthesised, ceiling_db=CEILING_DB)
             add_clips(scores, label, takes, "ssim", *pair)
-            joints = positions[:, synthesised], truth.joint_positions[:, synthesised]
+            joints = (positions[:, synthesised], true_positions[:, synthesised])
             add_clips(scores, label, takes, "mpjpe_global", *joints)
-            add_clips(scores, label, takes, "rotation_angle_error", turned[:, synthesised], turns[:, synthesised])
+            turns = (turned[:, synthesised], true_rotations[:, synthesised])
+            add_clips(scores, label, takes, "rotation_angle_error", *turns)
             for name in TIMED_METRICS:
-                add_clips(scores, label, takes, name, positions, truth.joint_positions, fps=float(truth.fps))
+                add_clips(scores, label, takes, name, positions, true_positions, fps=float(clips.fps))
     return scores

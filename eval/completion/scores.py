@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import product
 
 import numpy as np
 
@@ -14,14 +15,11 @@ from eval.report.results import Block, Cell, Differences, Measure, Row, cell_of,
 from eval.sets.sets import RowId
 from motionkit.core.shapes import Shaped
 
-Scores = dict[str, dict[str, dict[str, list[float]]]]
-"""By metric, by column (a scale, a length) and by take: Σ weight·value and Σ weight of its clips."""
+Scores = dict[tuple[str, str], dict[str, list[float]]]
+"""By metric and column (a scale, a length), by take: Σ weight·value and Σ weight of its clips."""
 
 # Metrics shown in another unit than their own: the factor, and the unit's name.
 UNITS = {"mpjpe_global": (100.0, "cm")}
-PLAIN = "plain"
-# Suffix of a block's title for each form; corrections share a block with interpolators.
-FORMS = {"": "", PLAIN: ", plain answers"}
 
 
 def add_clips(
@@ -33,7 +31,7 @@ def add_clips(
     **settings: object,
 ) -> None:
     """Add clips, each of a take, to a metric's sums of these takes; settings are the metric's own."""
-    by_take = scores.setdefault(metric, {}).setdefault(column, {})
+    by_take = scores.setdefault((metric, column), {})
     for take in dict.fromkeys(takes):
         clips = [clip for clip, each in enumerate(takes) if each == take]
         batch = find_metric(metric).weighted(*(array[clips] for array in arrays), **settings)
@@ -49,21 +47,6 @@ def mean_over_takes(by_take: Mapping[str, Sequence[float]]) -> Number:
     weights = Resampling().weights([f"take {take}" for take in by_take])
     pairs = zip((weights @ totals).tolist(), (weights @ sizes).tolist(), strict=True)
     return with_takes(mean, tuple(total / size if size else None for total, size in pairs))
-
-
-def pooled(groups: Sequence[Mapping[str, Scores]]) -> dict[str, Scores]:
-    """Scores of all groups' clips together, for the rows that every group has; groups have no take in common."""
-    return {
-        row: {
-            metric: {
-                column: {take: sums for group in groups for take, sums in group[row][metric][column].items()}
-                for column in columns
-            }
-            for metric, columns in scores.items()
-        }
-        for row, scores in groups[0].items()
-        if all(row in group for group in groups)
-    }
 
 
 @dataclass(frozen=True)
@@ -86,36 +69,40 @@ class Scope:
 
     def number(self, row: str, metric: str, column: str) -> Number:
         """A metric's number in the unit shown in tables."""
-        found, (factor, _) = mean_over_takes(self.rows[row][metric][column]), UNITS.get(metric, (1.0, ""))
+        found, (factor, _) = mean_over_takes(self.rows[row][metric, column]), UNITS.get(metric, (1.0, ""))
         resampled = tuple(None if each is None else factor * each for each in found.resampled)
         return Number(factor * found.value, factor * found.ci95, resampled)
 
     def cells(self, row: str, metric: str, shown: Shown) -> dict[str, Cell]:
         """A row's cells of a metric's block."""
-        further = shown.details.get(metric, {})
-        return {
-            column: cell_of(
-                self.number(row, metric, column),
-                {title: self.number(row, name, column).value for name, title in further.items()},
-            )
-            for column in shown.columns
-        }
+        cells = {}
+        for column in shown.columns:
+            further = shown.details.get(metric, {}).items()
+            details = {title: self.number(row, name, column).value for name, title in further}
+            cells[column] = cell_of(self.number(row, metric, column), details)
+        return cells
 
 
 def shown_measure(metric: str) -> Measure:
     """A metric's description in a block."""
-    return measure(metric, unit=UNITS[metric][1] if metric in UNITS else None)
+    return measure(metric, unit=UNITS.get(metric, (1.0, None))[1])
 
 
 def with_pools(scopes: Sequence[Scope], noun: str) -> list[Scope]:
-    """Add pooled scopes, first, for framerates that several data sets have; `noun` is what is pooled (clips)."""
+    """Add pooled scopes, first, for framerates that several data sets have; `noun` is what is pooled (clips).
+
+    A pool has the clips of all its data sets, which have no take in common, for the rows that each of them has.
+    """
     pools = []
     for fps in dict.fromkeys(scope.fps for scope in scopes):
         same = [scope for scope in scopes if scope.fps == fps]
         if len(same) > 1:
             names = ", ".join(scope.label for scope in same)
             note = f"All {noun} of {names}: each counts alike, and is scaled as in its own data set's block."
-            rows = pooled([scope.rows for scope in same])
+            rows: dict[str, Scores] = {row: {} for row in same[0].rows if all(row in scope.rows for scope in same)}
+            for row, scope in product(rows, same):
+                for key, by_take in scope.rows[row].items():
+                    rows[row].setdefault(key, {}).update(by_take)
             pools.append(Scope(f"all data sets, {float(fps):g} fps", fps, rows, note))
     return [*pools, *scopes]
 
@@ -130,14 +117,14 @@ def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: S
     noted: set[str] = set()
     for scope in scopes:
         known = [each for each in completers if each.name in scope.rows]
-        forms = {"": [each for each in known if each.form != PLAIN]}
-        if any(each.form == PLAIN for each in known):
-            forms[PLAIN] = [each for each in known if not each.trained or each.form == PLAIN]
-        for form, rows in forms.items():
+        by_form = {"": [each for each in known if each.form != "plain"]}
+        if any(each.form == "plain" for each in known):
+            by_form[", plain answers"] = [each for each in known if not each.trained or each.form == "plain"]
+        for form, rows in by_form.items():
             for metric, title in shown.metrics.items():
                 notes = form not in noted and metric == next(iter(shown.metrics))
                 block = Block(
-                    f"{scope.label}{FORMS[form]}: {title}",
+                    f"{scope.label}{form}: {title}",
                     shown.columns,
                     tuple(
                         Row(row.name, "ours", scope.cells(row.name, metric, shown), row.note * notes) for row in rows

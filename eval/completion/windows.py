@@ -11,7 +11,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.completion.data_sets import DataSet, NoTakesError, open_clips, split_remark
+from eval.completion.data_sets import DataSet, NoTakesError, local_rotations, open_clips, split_remark
 from eval.completion.encoders import Completer, query_many
 from eval.completion.scores import Scores, add_clips
 from motionkit.core import kinematics
@@ -20,7 +20,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.features.rotations import heading, to_window
-from motionkit.fields.motion_field import Observation, Poses
+from motionkit.fields.motion_field import Joints, Observation, Poses
 from motionkit.io import bvh_data_sets
 from motionkit.store.reader import Store, conjunction
 
@@ -43,27 +43,21 @@ class Question:
 
     label: str
     given: Int64[np.ndarray, "given"]
-    asked: Int64[np.ndarray, "asked"]
+    requested: Int64[np.ndarray, "requested"]
 
 
-def gaps(lengths: Sequence[int] = (5, 15, 30, 45)) -> tuple[Question, ...]:
-    """10 past frames and the first future one are given, the n between them requested."""
-    past = np.arange(NUM_PAST_FRAMES)
-    return tuple(
-        Question(f"{n} frames", np.append(past, NUM_PAST_FRAMES + n), np.arange(NUM_PAST_FRAMES, NUM_PAST_FRAMES + n))
-        for n in lengths
-    )
-
-
-def continuations(lengths: Sequence[int] = (5, 15, 30), num_given: int = 30) -> tuple[Question, ...]:
-    """A second at 30 fps is given, the n frames after it requested; and likewise backwards.
-
-    The given second is the first one of the window, or the last one of the same 60 frames.
-    """
-    first, longest = np.arange(num_given), max(lengths)
-    after = (Question(f"after: {n}", first, np.arange(num_given, num_given + n)) for n in lengths)
-    before = (Question(f"before: {n}", first + longest, np.arange(longest - n, longest)) for n in lengths)
-    return (*after, *before)
+_PAST = np.arange(NUM_PAST_FRAMES)
+# 10 past frames and the first future one are given, the n between them requested.
+GAPS = tuple(
+    Question(f"{n} frames", np.append(_PAST, NUM_PAST_FRAMES + n), np.arange(NUM_PAST_FRAMES, NUM_PAST_FRAMES + n))
+    for n in (5, 15, 30, 45)
+)
+_SECOND = np.arange(30)
+# Of 60 frames the first second is given and the n frames after it requested, or the last one and those before it.
+CONTINUATIONS = (
+    *(Question(f"after: {n}", _SECOND, np.arange(30, 30 + n)) for n in (5, 15, 30)),
+    *(Question(f"before: {n}", _SECOND + 30, np.arange(30 - n, 30)) for n in (5, 15, 30)),
+)
 
 
 def benchmark_windows(motion: Motion, num_frames: int, every: int) -> tuple[RootPaths, Rotations]:
@@ -90,10 +84,10 @@ def benchmark_windows(motion: Motion, num_frames: int, every: int) -> tuple[Root
 
 @dataclass(frozen=True, eq=False)
 class PoseWindows:
-    """W test windows, and statistics of training windows.
+    """W test windows, and the deviation of training windows' global positions, metres.
 
     `skeleton` has the offsets of the first training window's first frame, used for all poses, the true ones too.
-    `position_std` [J, 3] is the deviation of training windows' global positions, metres. `remark` names the subjects.
+    `takes` is the take of each window, `remark` names the subjects.
     """
 
     name: str
@@ -102,13 +96,7 @@ class PoseWindows:
     local_rotations: Rotations
     takes: tuple[str, ...]
     position_std: Float64[np.ndarray, "joints 3"]
-    num_training_windows: int
     remark: str
-
-    @property
-    def num_windows(self) -> int:
-        """Number of test windows W."""
-        return len(self.root_translation)
 
 
 def lafan1_windows(store: Store) -> PoseWindows:
@@ -117,43 +105,35 @@ def lafan1_windows(store: Store) -> PoseWindows:
     Subjects decide, not the store's split. Takes come in the order of their names, so that the first training window,
     whose bones all poses get, is that of the first name. Raises `NoTakesError` where either set is empty.
     """
-    training = [
-        motion
-        for motion in _lafan1_takes(store, bvh_data_sets.TRAIN_SUBJECTS)
-        if motion.num_frames > TRAIN_WINDOW_FRAMES
-    ]
-    if not training:
-        raise NoTakesError(f"no training take is longer than {TRAIN_WINDOW_FRAMES} frames")
-    windows = (benchmark_windows(motion, TRAIN_WINDOW_FRAMES, TRAIN_STEP_FRAMES) for motion in training)
-    positions = (global_poses(*each, motion.skeleton)[0] for each, motion in zip(windows, training, strict=True))
+
+    def takes(subjects: tuple[str, ...], num_frames: int) -> list[Motion]:
+        names = ", ".join(f"'{subject}'" for subject in subjects)
+        where = conjunction(LAFAN1, f"lower(subject) IN ({names})", f"num_frames > {num_frames}")
+        paths = store.columns("source_path")["source_path"].loc[store.select(where)].sort_values()
+        if paths.empty:
+            raise NoTakesError(
+                f"the store has no take of LaFAN1's {' or '.join(subjects)} at 30 fps with more than {num_frames} "
+                "frames (motionkit ingest FOLDER-OF-ITS-BVH)"
+            )
+        return [store.read(int(index)) for index in paths.index]
+
+    training = takes(bvh_data_sets.TRAIN_SUBJECTS, TRAIN_WINDOW_FRAMES)
+    windows = ((benchmark_windows(each, TRAIN_WINDOW_FRAMES, TRAIN_STEP_FRAMES), each.skeleton) for each in training)
+    positions = (global_poses(*window, skeleton)[0] for window, skeleton in windows)
     moments = stream(each.reshape(-1, 3 * each.shape[2]) for each in positions)
-    test = _lafan1_takes(store, bvh_data_sets.TEST_SUBJECTS)
-    found = [benchmark_windows(motion, TEST_WINDOW_FRAMES, TEST_STEP_FRAMES) for motion in test]
-    roots = np.concatenate([root for root, _ in found])
-    if not len(roots):
-        raise NoTakesError(f"no take of subject 5 is longer than {TEST_WINDOW_FRAMES} frames")
+    test = takes(bvh_data_sets.TEST_SUBJECTS, TEST_WINDOW_FRAMES)
+    pairs = [benchmark_windows(motion, TEST_WINDOW_FRAMES, TEST_STEP_FRAMES) for motion in test]
+    roots = np.concatenate([root for root, _ in pairs])
     expected = "" if len(roots) == BENCHMARK_WINDOWS else f" (the whole data set has {BENCHMARK_WINDOWS:,})"
     return PoseWindows(
         name="LaFAN1",
         skeleton=training[0].skeleton,
         root_translation=roots,
-        local_rotations=np.concatenate([rotations for _, rotations in found]),
-        takes=tuple(f"LaFAN1 {take}" for take, (root, _) in enumerate(found) for _ in root),
+        local_rotations=np.concatenate([rotations for _, rotations in pairs]),
+        takes=tuple(f"LaFAN1 {take}" for take, (root, _) in enumerate(pairs) for _ in root),
         position_std=moments.std.reshape(-1, 3),
-        num_training_windows=moments.count // TRAIN_WINDOW_FRAMES,
         remark=f"subject 5, {len(roots):,} windows{expected}; statistics of subjects 1 to 4.",
     )
-
-
-def _lafan1_takes(store: Store, subjects: tuple[str, ...]) -> list[Motion]:
-    named = ", ".join(f"'{subject}'" for subject in subjects)
-    chosen = store.select(conjunction(LAFAN1, f"lower(subject) IN ({named})"))
-    if not len(chosen):
-        raise NoTakesError(
-            f"the store has no take of LaFAN1's {' or '.join(subjects)} at 30 fps (motionkit ingest FOLDER-OF-ITS-BVH)"
-        )
-    paths = store.columns("source_path")["source_path"].loc[chosen]
-    return [store.read(int(index)) for index in paths.sort_values().index]
 
 
 def global_poses(
@@ -177,39 +157,35 @@ def data_set_windows(store: Store, data_set: DataSet, split: str, where: str | N
     where the compared split has no window.
     """
     # The benchmark needs a frame after each window (strict i + window < T): equivalent to clips of one frame more.
-    test = open_clips(store, data_set, split, where, TEST_WINDOW_FRAMES + 1, TEST_STEP_FRAMES)
-    remark = split_remark(store, test, split)
+    train_size, test_size = (TRAIN_WINDOW_FRAMES + 1, TRAIN_STEP_FRAMES), (TEST_WINDOW_FRAMES + 1, TEST_STEP_FRAMES)
+    test = open_clips(store, data_set, split, where, *test_size)
+    remark = f"{len(test.takes):,} windows of {len(set(test.takes)):,} takes; {split_remark(store, test, split)}"
     try:
-        train = open_clips(store, data_set, "train", None, TRAIN_WINDOW_FRAMES + 1, TRAIN_STEP_FRAMES)
+        train = open_clips(store, data_set, "train", None, *train_size)
     except NoTakesError:
-        train = open_clips(store, data_set, split, where, TRAIN_WINDOW_FRAMES + 1, TRAIN_STEP_FRAMES)
+        train = open_clips(store, data_set, split, where, *train_size)
         remark += " There is no training split: statistics are those of the compared takes."
 
-    def parts() -> Iterator[Float64[np.ndarray, "rows numbers"]]:
-        for _, clips in train.read(CLIPS_AT_ONCE):
-            poses = clips.frames(slice(0, -1))
-            yaw, origin = _benchmark_frame(poses.vectors)
-            centred = poses.joint_positions.astype(np.float64)
+    def training_positions() -> Iterator[Float64[np.ndarray, "rows numbers"]]:
+        for _, positions, vectors in train.read(CLIPS_AT_ONCE):
+            yaw, origin = _benchmark_frame(vectors[:, :-1])
+            centred = positions[:, :-1].astype(np.float64)
             centred[..., ::2] -= origin[:, None, None]
             back = kinematics.rotation_vector_to_quaternion(yaw[:, None, None, None] * np.array([0.0, -1.0, 0.0]))
             yield kinematics.quaternion_rotate(back, centred).reshape(-1, 3 * SMPL22.num_joints)
 
-    moments = stream(parts())
-    first_pose = next(train.read(1))[1].frames(slice(0, 1))
-    windows = (clips.vectors[:, :-1] for _, clips in test.read(CLIPS_AT_ONCE))
-    turned = [to_window(vectors, *_benchmark_frame(vectors)) for vectors in windows]
-    rows = np.concatenate(turned)
-    matrices = kinematics.closest_rotations(rows[..., 3:])
-    rotations = kinematics.matrix_to_quaternion(matrices).astype(np.float32)
+    _, positions, vectors = next(train.read(1))
+    first_pose = Joints.of(Poses(positions[0, :1], local_rotations(vectors[0, :1])), SMPL22)
+    windows = (vectors[:, :-1] for _, _, vectors in test.read(CLIPS_AT_ONCE))
+    rows = np.concatenate([to_window(each, *_benchmark_frame(each)) for each in windows])
     return PoseWindows(
         name=data_set.label,
-        skeleton=replace(SMPL22, offsets=_bones(first_pose.joint_positions[0], first_pose.local_rotations()[0])),
+        skeleton=replace(SMPL22, offsets=first_pose.bones[0].astype(np.float32)),
         root_translation=rows[..., :3],
-        local_rotations=_continuous(rotations),
+        local_rotations=_continuous(local_rotations(rows)),
         takes=test.takes,
-        position_std=moments.std.reshape(-1, 3),
-        num_training_windows=moments.count // TRAIN_WINDOW_FRAMES,
-        remark=f"{test.num_clips:,} windows of {test.num_takes:,} takes; {remark}",
+        position_std=stream(training_positions()).std.reshape(-1, 3),
+        remark=remark,
     )
 
 
@@ -222,25 +198,11 @@ def _benchmark_frame(
     return yaw - np.pi / 2, origin
 
 
-def _bones(
-    positions: Float32[np.ndarray, "1 joints 3"], rotations: Float32[np.ndarray, "1 joints 4"]
-) -> Float32[np.ndarray, "joints 3"]:
-    """Every joint's position in its parent's frame; the root's is the origin."""
-    world = kinematics.global_rotations(rotations.astype(np.float64), SMPL22)
-    parents = list(SMPL22.parents[1:])
-    bones = np.zeros((SMPL22.num_joints, 3), np.float32)
-    bones[1:] = kinematics.quaternion_rotate(
-        kinematics.quaternion_conjugate(world[0, parents]), positions[0, 1:].astype(np.float64) - positions[0, parents]
-    )
-    return bones
-
-
 def _continuous(rotations: Rotations) -> Rotations:
     """Make quaternion signs continuous within each window."""
-    windows, frames, joints, _ = rotations.shape
-    side_by_side = rotations.transpose(1, 0, 2, 3).reshape(frames, windows * joints, 4)
-    smooth = kinematics.continuous_quaternions(side_by_side).reshape(frames, windows, joints, 4)
-    return np.ascontiguousarray(smooth.transpose(1, 0, 2, 3))
+    frames_first = rotations.swapaxes(0, 1)
+    smooth = kinematics.continuous_quaternions(frames_first.reshape(len(frames_first), -1, 4))
+    return np.ascontiguousarray(smooth.reshape(frames_first.shape).swapaxes(0, 1))
 
 
 def measure_windows(windows: PoseWindows, questions: Sequence[Question], completer: Completer) -> Scores:
@@ -251,19 +213,21 @@ def measure_windows(windows: PoseWindows, questions: Sequence[Question], complet
     """
     scores: Scores = {}
     times = np.arange(windows.root_translation.shape[1], dtype=np.float64) / float(FPS)
-    for first in range(0, windows.num_windows, WINDOWS_AT_ONCE):
-        part = slice(first, first + WINDOWS_AT_ONCE)
-        root, local, takes = windows.root_translation[part], windows.local_rotations[part], windows.takes[part]
+    for first in range(0, len(windows.takes), WINDOWS_AT_ONCE):
+        batch = slice(first, first + WINDOWS_AT_ONCE)
+        root, local, takes = windows.root_translation[batch], windows.local_rotations[batch], windows.takes[batch]
         positions, rotations = global_poses(root, local, windows.skeleton)
         for question in questions:
-            given, asked = question.given, question.asked
+            given, requested = question.given, question.requested
             observed = [
                 Observation(times[given], Poses(*poses), windows.skeleton)
                 for poses in zip(positions[:, given].astype(np.float32), local[:, given], root[:, given], strict=True)
             ]
-            made = query_many(completer.encoder, observed, times[asked], FPS)
-            predicted, turned = global_poses(*_root_and_rotations(made, local, question), windows.skeleton)
-            places, turns = (predicted, positions[:, asked]), (turned, rotations[:, asked])
+            predicted = query_many(completer.encoder, observed, times[requested], FPS)
+            own_root = np.stack([poses.joint_positions[:, 0] for poses in predicted])
+            own_local = _signed_rotations(predicted, local, question)
+            own_positions, own_rotations = global_poses(own_root, own_local, windows.skeleton)
+            places, turns = (own_positions, positions[:, requested]), (own_rotations, rotations[:, requested])
             add_clips(scores, question.label, takes, "l2p", *places, std=windows.position_std)
             add_clips(scores, question.label, takes, "l2q", *turns)
             add_clips(scores, question.label, takes, "l2q_as_signed", *turns)
@@ -272,17 +236,13 @@ def measure_windows(windows: PoseWindows, questions: Sequence[Question], complet
     return scores
 
 
-def _root_and_rotations(made: Sequence[Poses], local: Rotations, question: Question) -> tuple[RootPaths, Rotations]:
-    """Root and local rotations of an output, with continuous quaternion signs from the adjacent given pose on."""
-    answered = [poses.local_rotations for poses in made if poses.local_rotations is not None]
-    if len(answered) < len(made):
+def _signed_rotations(predicted: Sequence[Poses], local: Rotations, question: Question) -> Rotations:
+    """Local rotations of an output, with continuous quaternion signs from the adjacent given pose on."""
+    rotations = [poses.local_rotations for poses in predicted if poses.local_rotations is not None]
+    if len(rotations) < len(predicted):
         raise ValueError("its motion has positions only, but this table needs rotations")
-    roots = np.stack(
-        [poses.joint_positions[:, 0] if poses.root_translation is None else poses.root_translation for poses in made]
-    )
     # The given pose next to the requested frames: the last one before them, or the first one after them.
-    before = question.given[question.given < question.asked[0]]
-    beside = int(before[-1]) if before.size else int(question.given[0])
-    order = slice(None) if before.size else slice(None, None, -1)
-    run = np.concatenate((local[:, beside : beside + 1], np.stack(answered)[:, order]), axis=1)
-    return roots, np.ascontiguousarray(_continuous(run)[:, 1:][:, order])
+    before = question.given[question.given < question.requested[0]]
+    beside, order = (before[-1], slice(None)) if before.size else (question.given[0], slice(None, None, -1))
+    in_order = np.concatenate((local[:, [beside]], np.stack(rotations)[:, order]), axis=1)
+    return np.ascontiguousarray(_continuous(in_order)[:, 1:][:, order])

@@ -88,7 +88,7 @@ def _scored(
         raise NoTakesError("; ".join(without))
     config.missing.add(*without)
     provenance = {
-        "encoders": {each.name: each.fingerprint for each in completers},
+        "weights_sha256": {each.name: each.weights_sha256 for each in completers if each.trained},
         "trained": {each.name: each.facts for each in completers if each.trained},
     }
     notes = (*remarks, "± is half the 95 % interval over takes.")
@@ -107,7 +107,8 @@ def _interpolated(
 
     def clips_of(data_set: DataSet) -> Clips:
         clips = open_clips(store, data_set, config.split, config.where, CLIP_FRAMES, CLIP_FRAMES)
-        remark = f"{data_set.label}: {clips.num_clips:,} clips of {clips.num_takes:,} takes"
+        num_takes = len(set(clips.takes))
+        remark = f"{data_set.label}: {len(clips.takes):,} clips of {num_takes:,} takes"
         try:
             training = open_clips(store, data_set, "train", None, CLIP_FRAMES, CLIP_FRAMES)
         except NoTakesError:
@@ -116,7 +117,7 @@ def _interpolated(
             f"; left out: {clips.num_short:,} shorter than {clips.num_frames} frames, {clips.num_other_fps:,} at other "
             f"framerates; {split_remark(store, clips, config.split)}"
         )
-        if clips.num_takes < SMALL_TAKES:
+        if num_takes < SMALL_TAKES:
             remark += f". **Small scale**: fewer than {SMALL_TAKES} takes say little about others."
         measure = partial(interpolation.measure_interpolation, clips, interpolation.measure_scale(training), scales)
         return Clips(data_set.label, data_set.fps, remark, measure)
@@ -252,7 +253,7 @@ _BENCHMARK_ROWS = {
 INBETWEENING = WindowTable(
     "inbetweening",
     windows.INBETWEENING_VERSION,
-    windows.gaps(),
+    windows.GAPS,
     WINDOW_METRICS,
     {"l2p": {"mpjpe_global": "MPJPE (cm)"}, "l2q": {"l2q_as_signed": "L2Q, signs as they come"}},
     tuple(
@@ -266,7 +267,7 @@ INBETWEENING = WindowTable(
 EXTRAPOLATION = WindowTable(
     "extrapolation",
     windows.EXTRAPOLATION_VERSION,
-    windows.continuations(),
+    windows.CONTINUATIONS,
     {"mpjpe_global": "MPJPE (cm)", **WINDOW_METRICS},
     {},
     (

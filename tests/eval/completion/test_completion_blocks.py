@@ -5,45 +5,18 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from eval.completion.encoders import HOLD, Completer
-from eval.completion.scores import Scope, Scores, Shown, add_clips, blocks_of, mean_over_takes, pooled, with_pools
+from eval.completion.scores import Scope, Scores, Shown, blocks_of, with_pools
 
 SHOWN = Shown(("×2",), {"psnr": "PSNR (dB)", "mpjpe_global": "MPJPE (cm)"}, {"psnr": {"mpjpe_global": "joints (cm)"}})
 
 
 def scores(psnr: float, clips: float) -> Scores:
     return {
-        "psnr": {"×2": {f"{psnr}": [float(psnr * clips), float(clips)]}},
-        "mpjpe_global": {"×2": {f"{psnr}": [0.02 * 9.0 * clips, 9.0 * clips]}},
+        ("psnr", "×2"): {f"{psnr}": [float(psnr * clips), float(clips)]},
+        ("mpjpe_global", "×2"): {f"{psnr}": [0.02 * 9.0 * clips, 9.0 * clips]},
     }
-
-
-@given(st.lists(st.integers(1, 5), min_size=2, max_size=4), st.integers(0, 99))
-def test_pooled_scores_are_those_of_all_clips_measured_at_once(sizes: list[int], seed: int) -> None:
-    """Of a mean over clips, one over frames and one over the truth's power."""
-    rng = np.random.default_rng(seed)
-    names = ("ssim", "l2q", "npss")
-    whole: Scores = {}
-    parts = []
-    for size in sizes:
-        true = rng.normal(size=(size, 12, 2, 4)) * rng.uniform(0.5, 3)
-        made = true + rng.normal(size=true.shape)
-        of_part: Scores = {}
-        # All in one take at once; of each part the first clip is one take, the others another.
-        takes = [f"{len(parts)}"] + [f"{len(parts)} more"] * (size - 1)
-        units = [each / np.linalg.norm(each, axis=-1, keepdims=True) for each in (made, true)]
-        for some, named in ((whole, ["all"] * size), (of_part, takes)):
-            add_clips(some, "15", named, "l2q", *units)
-            for name in ("ssim", "npss"):
-                add_clips(some, "15", named, name, *(each.reshape(size, 12, 8) for each in (made, true)))
-        parts.append({"row": of_part})
-    together = pooled(parts)["row"]
-    for name in names:
-        means = [mean_over_takes(each[name]["15"]).value for each in (together, whole)]
-        assert means[0] == pytest.approx(means[1], rel=1e-9)
 
 
 def test_data_sets_of_a_framerate_are_pooled_before_all_others() -> None:
@@ -80,16 +53,15 @@ def test_plain_answers_stand_in_blocks_of_their_own() -> None:
     assert [len(block.rows) for block in blocks_of([scope], rows[::2], SHOWN)] == [1, 1, 2, 2]
 
 
-def of_takes(values: list[float]) -> Scores:
-    sums = {f"take {place}": [2.0 * value, 2.0] for place, value in enumerate(values)}
-    return {"psnr": {"×2": sums}, "mpjpe_global": {"×2": sums}}
-
-
 def test_intervals_are_over_takes_and_trained_rows_are_compared_with_the_best_untrained_one() -> None:
     hard = np.random.default_rng(0).normal(30, 6, size=60)
     rows = {"low": hard - 9, "hold": hard, "ours": hard + 0.5, "theirs": hard + 0.5}
     rows["theirs"] = rows["theirs"] + np.random.default_rng(1).normal(0, 2, size=60)
-    scope = Scope("all", Fraction(30), {name: of_takes(each.tolist()) for name, each in rows.items()})
+    rows_of_takes: dict[str, Scores] = {
+        name: {("psnr", "×2"): {f"take {take}": [2.0 * value, 2.0] for take, value in enumerate(values.tolist())}}
+        for name, values in rows.items()
+    }
+    scope = Scope("all", Fraction(30), rows_of_takes)
     trained = [replace(HOLD, name=name, trained=True, form="correction") for name in ("ours", "theirs")]
     shown = Shown(("×2",), {"psnr": "PSNR (dB)"}, {})
     scores_block, differences = blocks_of([scope], [replace(HOLD, name="low"), HOLD, *trained], shown)

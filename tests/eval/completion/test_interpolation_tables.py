@@ -1,6 +1,5 @@
 """Tables 1 and 2 of PA-HiRes: which frames are given, figures held against their definition, data sets and refusals."""
 
-from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from eval.completion.data_sets import NoTakesError, data_sets_of, open_clips
+from eval.completion.data_sets import NoTakesError, data_sets_of, local_rotations, open_clips
 from eval.completion.encoders import CUBIC, HOLD, LINEAR, Completer
 from eval.completion.interpolation import (
     CLIP_FRAMES,
@@ -25,25 +24,18 @@ from eval.tables import pahires
 from eval.tables.pahires import TABLE_1, TABLE_2, TABLE_EXTRAPOLATION
 from eval.tables.pahires import TABLE_3 as INBETWEENING
 from eval.tables.table import EvalConfig
-from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion, Provenance
 from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.interpolation import INTERPOLATORS
-from motionkit.fields.motion_field import MotionEncoder, Observation, Poses
+from motionkit.fields.motion_field import BatchEncoder, MotionEncoder, Poses
 from motionkit.store.reader import Store
 from motionkit.store.writer import StoreWriter
-from tests.helpers.table_request import table_request
+from tests.helpers.table_request import body_of, table_request
 
 
 def test_frames_given_at_whole_and_other_scales() -> None:
-    for scale, frames in (
-        ("3", [0, 3, 6, 9, 12, 15, 18]),
-        ("2.4", [0, 2, 4, 7, 9, 12, 14]),
-        ("1.2", [0, 1, 2, 3, 4, 6, 7]),
-    ):
-        assert given_frames(Fraction(scale)).tolist()[:7] == frames
+    assert given_frames(Fraction("2.4")).tolist()[:7] == [0, 2, 4, 7, 9, 12, 14]
     for fraction in (*INTEGER_SCALES, *OTHER_SCALES):
         expected = [int(np.floor(i * float(fraction) + 1e-9)) for i in range(16)]
         assert given_frames(fraction).tolist() == expected and expected[-1] < CLIP_FRAMES == 76
@@ -57,28 +49,17 @@ def take(number: int, num_frames: int, fps: int, split: str, source: str = "cmu"
     time = np.arange(num_frames)[:, None, None] / fps
     turns = 0.5 * rng.normal(size=(1, 22, 3)) * np.sin(2.0 * rng.normal(size=(1, 22, 3)) * time + number)
     turns[:, [10, 11, 15, 20, 21]] = 0.0  # leaves, which no position shows
-    local = Rotation.from_rotvec(turns.reshape(-1, 3)).as_quat(scalar_first=True).reshape(num_frames, 22, 4)
     root = np.array([0.9, 0.02, 0.3]) * np.sin(time[:, 0] + number) + [0, 0.95, 0]
-    return Motion(
-        kinematics.forward_kinematics(local.astype(np.float32), root.astype(np.float32), SMPL22),
-        SMPL22,
-        TimeGrid(Fraction(fps), num_frames),
-        local_rotations=local.astype(np.float32),
-        root_translation=root.astype(np.float32),
-        sequence_id=f"take-{number}",
-        split=split,
-        provenance=Provenance(source=source, subject=f"{number % 2}", source_sha256=f"{number:064d}"),
-    )
+    about = Provenance(source=source, subject=f"{number % 2}", source_sha256=f"{number:064d}")
+    return body_of(turns, root, fps, SMPL22, sequence_id=f"take-{number}", split=split, provenance=about)
 
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("interpolation") / "store"
     with StoreWriter.create(path) as writer:
-        writer.add(take(0, 160, 60, "test"))
-        writer.add(take(1, 160, 30, "test"))
-        writer.add(take(2, 70, 30, "test"))
-        writer.add(take(3, 100, 50, "test"))
+        for number, num_frames, fps in ((0, 160, 60), (1, 160, 30), (2, 70, 30), (3, 100, 50)):
+            writer.add(take(number, num_frames, fps, "test"))
         for number in (4, 6):
             writer.add(take(number, 110, 30, "train"))
         writer.add(take(8, 90, 30, "test", source="studio"))
@@ -90,25 +71,24 @@ def test_clips_are_real_frames_of_whole_multiples(store: Path) -> None:
     cmu = next(each for each in data_sets_of(opened) if each.label == "CMU, 30 fps")
     clips = open_clips(opened, cmu, "test", None, 76, 76)
     # 60 fps: 80 frames at 30, one clip; 160 frames: two; 70 are too few; 50 fps is no multiple.
-    assert (clips.num_clips, clips.num_takes, clips.num_short, clips.num_other_fps) == (3, 2, 1, 1)
-    _, poses = next(clips.read(3))
+    assert (len(clips.takes), len(set(clips.takes)), clips.num_short, clips.num_other_fps) == (3, 2, 1, 1)
+    _, positions, vectors = next(clips.read(3))
     true = take(0, 160, 60, "test")
-    np.testing.assert_allclose(poses.joint_positions[0], true.joint_positions[:152:2], atol=2e-3)
-    np.testing.assert_allclose(poses.joint_positions[2], take(1, 160, 30, "").joint_positions[76:152], atol=2e-3)
-    turned = np.abs(np.sum(poses.local_rotations()[0] * np.asarray(true.local_rotations)[:152:2], axis=-1))
+    np.testing.assert_allclose(positions[0], true.joint_positions[:152:2], atol=2e-3)
+    np.testing.assert_allclose(positions[2], take(1, 160, 30, "").joint_positions[76:152], atol=2e-3)
+    turned = np.abs(np.sum(local_rotations(vectors[0]) * np.asarray(true.local_rotations)[:152:2], axis=-1))
     assert turned.min() > 1 - 1e-4
-    assert np.allclose(np.diff(poses.times_seconds), 1 / 30)
     with pytest.raises(NoTakesError, match="a whole multiple of 30 fps and then 500 frames"):
         open_clips(opened, next(each for each in data_sets_of(opened) if each.name == "studio"), "test", None, 500, 76)
 
 
-def figures(store: Path, encoder: MotionEncoder, scale: str) -> dict[str, float]:
+def figures(store: Path, encoder: MotionEncoder | BatchEncoder, scale: str) -> dict[str, float]:
     opened = Store.open(store)
     cmu = next(each for each in data_sets_of(opened) if each.label == "CMU, 30 fps")
     clips, train = (open_clips(opened, cmu, split, None, 76, 76) for split in ("test", "train"))
-    row = Completer("row", encoder, "", "")
+    row = Completer("row", encoder, "")
     found = measure_interpolation(clips, measure_scale(train), (Fraction(scale),), row)
-    return {name: mean_over_takes(values[f"×{scale}"]).value for name, values in found.items()}
+    return {name: mean_over_takes(by_take).value for (name, _), by_take in found.items()}
 
 
 def test_figures_of_held_poses_are_those_of_their_definition(store: Path) -> None:
@@ -153,15 +133,6 @@ def numbers(motion: Motion, step: int) -> np.ndarray:
     root = (root - [root[0, 0], 0, root[0, 2]]) @ turn.T
     matrices[:, 0] = turn @ matrices[:, 0]
     return np.concatenate((root, matrices[..., :2].swapaxes(-1, -2).reshape(len(root), -1)), axis=1)
-
-
-class Broken:
-    name = "broken"
-
-    def query_many(self, observations: Sequence[Observation], times_seconds: np.ndarray) -> list[Poses]:
-        raise ValueError("windows of 5 frames are longer than training saw")
-
-    encode = query_many
 
 
 def test_smoother_is_better_and_positions_alone_can_be_scored(store: Path) -> None:
@@ -223,11 +194,15 @@ def test_what_cannot_be_asked_is_reported_in_a_line(store: Path, tmp_path: Path)
         TABLE_1.build(request(store, tmp_path, encoders=(("squid", tmp_path / "runs" / "nano"),)))
 
 
+class Broken:
+    def query_many(self, observations: object, times_seconds: object) -> list[Poses]:
+        raise ValueError("windows of 5 frames are longer than training saw")
+
+
 def test_an_encoder_that_fails_is_left_out_and_named(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    broken = Completer("broken", Broken(), "", "")  # type: ignore[arg-type]
-    monkeypatch.setattr(pahires, "INTERPOLATION", (broken, HOLD))
+    monkeypatch.setattr(pahires, "INTERPOLATION", (Completer("broken", Broken(), ""), HOLD))
     result = TABLE_1.build(request(store, tmp_path))
     assert {row.name for block in result.blocks for row in block.rows if row.origin != "paper"} == {"hold"}
     assert "CMU, 30 fps, broken: windows of 5 frames are longer than training saw" in result.missing
