@@ -11,7 +11,7 @@ import numpy as np
 from eval.completion.encoders import Completer
 from eval.metrics.number import Number, Resampling, with_takes
 from eval.metrics.registry import find_metric
-from eval.report.results import Block, Cell, Differences, Measure, Row, cell_of, differences_block, measure, pairs_of
+from eval.report.results import Block, Cell, Measure, Row, cell_of, differences_block, measure, score_differences
 from eval.sets.sets import RowId
 from motionkit.core.shapes import Shaped
 
@@ -88,8 +88,8 @@ def shown_measure(metric: str) -> Measure:
     return measure(metric, unit=UNITS.get(metric, (1.0, None))[1])
 
 
-def with_pools(scopes: Sequence[Scope], noun: str) -> list[Scope]:
-    """Add pooled scopes, first, for framerates that several data sets have; `noun` is what is pooled (clips).
+def with_pools(scopes: Sequence[Scope]) -> list[Scope]:
+    """Add pooled scopes, first, for framerates that several data sets have.
 
     A pool has the clips of all its data sets, which have no take in common, for the rows that each of them has.
     """
@@ -98,7 +98,7 @@ def with_pools(scopes: Sequence[Scope], noun: str) -> list[Scope]:
         same = [scope for scope in scopes if scope.fps == fps]
         if len(same) > 1:
             names = ", ".join(scope.label for scope in same)
-            note = f"All {noun} of {names}: each counts alike, and is scaled as in its own data set's block."
+            note = f"All clips of {names}: each counts alike, and is scaled as in its own data set's block."
             rows: dict[str, Scores] = {row: {} for row in same[0].rows if all(row in scope.rows for scope in same)}
             for row, scope in product(rows, same):
                 for key, by_take in scope.rows[row].items():
@@ -123,35 +123,31 @@ def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: S
         for form, rows in by_form.items():
             for metric, title in shown.metrics.items():
                 notes = form not in noted and metric == next(iter(shown.metrics))
+                cells = {row.name: scope.cells(row.name, metric, shown) for row in rows}
                 block = Block(
                     f"{scope.label}{form}: {title}",
                     shown.columns,
-                    tuple(
-                        Row(row.name, "ours", scope.cells(row.name, metric, shown), row.note * notes) for row in rows
-                    ),
+                    tuple(Row(row.name, "ours", cells[row.name], row.note * notes) for row in rows),
                     lower_is_better=find_metric(metric).higher_is_better is False,
                     note=scope.note,
                     metrics=(shown_measure(metric),),
                 )
-                differences = differences_block(block, _differences(scope, rows, metric, shown.columns))
+                differences = _differences(block, scope, rows, metric)
                 blocks += [block] if differences is None else [block, differences]
             noted.add(form)
     return blocks
 
 
-def _differences(scope: Scope, rows: Sequence[Completer], metric: str, columns: Sequence[str]) -> Differences:
+def _differences(block: Block, scope: Scope, rows: Sequence[Completer], metric: str) -> Block | None:
     """Differences between trained rows, and from the untrained row that is best in most columns."""
     untrained = [each.name for each in rows if not each.trained]
     sign = -1.0 if find_metric(metric).higher_is_better else 1.0
     wins = Counter(
         min(untrained, key=lambda name: sign * scope.number(name, metric, column).value)
-        for column in (columns if untrained else ())
+        for column in (block.columns if untrained else ())
     )
-    best = [RowId(name) for name, _ in wins.most_common(1)]
-    found: dict[tuple[RowId, RowId], dict[str, Number]] = {}
-    for first, second in pairs_of([RowId(each.name) for each in rows if each.trained], best):
-        for column in columns:
-            numbers = (scope.number(row.system, metric, column) for row in (first, second))
-            if (less := Number.less(*numbers)) is not None:
-                found.setdefault((first, second), {})[column] = less
-    return found
+    best = [name for name, _ in wins.most_common(1)]
+    compared = [*(each.name for each in rows if each.trained), *best]
+    numbers = {RowId(row): {each: scope.number(row, metric, each) for each in block.columns} for row in compared}
+    columns = {column: column for column in block.columns}
+    return differences_block(block, score_differences(numbers, columns, [RowId(name) for name in best]))

@@ -93,7 +93,7 @@ def _scored(
     }
     notes = (*remarks, "± is half the 95 % interval over takes.")
     content = Content(f"{caption} S{config.real[1:]}.", blocks=(), notes=notes, provenance=provenance)
-    return with_pools(scopes, "clips"), content
+    return with_pools(scopes), content
 
 
 def _interpolated(

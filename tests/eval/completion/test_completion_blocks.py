@@ -25,7 +25,7 @@ def test_data_sets_of_a_framerate_are_pooled_before_all_others() -> None:
         Scope("CMU, 120 fps", Fraction(120), {"hold": scores(50, 9)}),
         Scope("studio, 30 fps", Fraction(30), {"hold": scores(40, 4)}),
     ]
-    blocks = blocks_of(with_pools(scopes, "clips"), [HOLD], SHOWN)
+    blocks = blocks_of(with_pools(scopes), [HOLD], SHOWN)
     titles = [block.title for block in blocks if block.title.endswith("(dB)")]
     assert titles == [
         f"{name}: PSNR (dB)" for name in ("all data sets, 30 fps", "CMU, 30 fps", "CMU, 120 fps", "studio, 30 fps")
@@ -34,7 +34,7 @@ def test_data_sets_of_a_framerate_are_pooled_before_all_others() -> None:
     assert first.value == 38.0
     assert first.details == {"joints (cm)": pytest.approx(2.0)}
     assert "All clips of CMU, 30 fps, studio, 30 fps" in blocks[0].note
-    assert with_pools(scopes[:2], "clips") == scopes[:2]
+    assert with_pools(scopes[:2]) == scopes[:2]
 
 
 def test_plain_answers_stand_in_blocks_of_their_own() -> None:
