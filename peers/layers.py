@@ -1,21 +1,21 @@
 """What the networks of generative systems share: their interface, layers, diffusion of motions and latents."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import torch
 from torch import Tensor, nn
 
 from motionkit.core.shapes import Float, Int64, Shaped
-from motionkit.training import networks
 from motionkit.training.config import DiffusionConfig
-from motionkit.training.networks import ConditionalNetwork, Conditions, ConditionSizes, guided
-from peers.motions import Lengths, Mask, MotionBatch, PoseSpace, Rows, SampleBatch
+from motionkit.training.networks import Conditions, ConditionSizes
+from peers.motions import MotionBatch, PoseSpace, Rows, SampleBatch
 
 Latents = Float[Tensor, "batch width"]  # one vector of each motion
 Steps = Int64[Tensor, "batch"]  # the diffusion step of each motion
 Tokens = Float[Tensor, "batch tokens width"]
+Layer = TypeVar("Layer", nn.TransformerEncoderLayer, nn.TransformerDecoderLayer)
 
 
 @dataclass(frozen=True)
@@ -88,73 +88,12 @@ class ConditionVector(nn.Module):
         return vector if self.text is not None and self.null_text else vector * given
 
 
-def last_states(states: Float[Tensor, "batch frames width"], lengths: Lengths) -> Latents:
-    """A recurrent layer's states at the motions' last frames."""
-    return states[torch.arange(len(states), device=states.device), lengths - 1]
-
-
-def first_poses(rows: Rows, mean_share: float, generator: torch.Generator) -> Latents:
-    """The first pose of each motion, replaced by the mean pose (zeros) with probability `mean_share`."""
-    kept = torch.rand((len(rows), 1), generator=generator) >= mean_share
-    return rows[:, 0] * kept.to(rows.device)
-
-
-def encoder_layer(sizes: TransformerSizes) -> nn.TransformerEncoderLayer:
-    """A layer of self-attention."""
+def attention(layer: type[Layer], sizes: TransformerSizes) -> Layer:
+    """A layer of self-attention (torch's `TransformerEncoderLayer`), or of cross-attention too (the decoder's)."""
     arguments = sizes.width, sizes.heads, sizes.inner, sizes.dropout
-    return nn.TransformerEncoderLayer(*arguments, activation="gelu", batch_first=True)
-
-
-def decoder_layer(sizes: TransformerSizes) -> nn.TransformerDecoderLayer:
-    """A layer of self-attention and cross-attention."""
-    arguments = sizes.width, sizes.heads, sizes.inner, sizes.dropout
-    return nn.TransformerDecoderLayer(*arguments, activation="gelu", batch_first=True)
+    return layer(*arguments, activation="gelu", batch_first=True)
 
 
 def encoder(sizes: TransformerSizes) -> nn.TransformerEncoder:
     """Layers of self-attention."""
-    return nn.TransformerEncoder(encoder_layer(sizes), sizes.layers, enable_nested_tensor=False)
-
-
-def with_inputs(network: Callable[..., Tensor], *inputs: Tensor) -> ConditionalNetwork:
-    """A network with these further inputs for each motion, repeated where guidance repeats the batch."""
-    return lambda noisy, steps, conditions: network(
-        noisy, steps, conditions, *(torch.cat([each] * (len(noisy) // len(each))) for each in inputs)
-    )
-
-
-def noised(clean: Rows, config: DiffusionConfig, generator: torch.Generator) -> tuple[Rows, Steps, Rows]:
-    """Noise each motion to a random step, drawn on the CPU; gives noisy motions, steps and noise on their device."""
-    steps = torch.randint(config.num_steps, (len(clean),), generator=generator).to(clean.device)
-    noise = torch.randn(clean.shape, generator=generator).to(clean.device)
-    alphas = networks.cumulative_alphas(config).to(clean.device)
-    return networks.add_noise(clean.flatten(1), noise.flatten(1), steps, alphas).view(clean.shape), steps, noise
-
-
-def diffusion_loss(
-    network: ConditionalNetwork, config: DiffusionConfig, batch: MotionBatch, clean: Rows, mask: Mask
-) -> Float[Tensor, ""]:
-    """Squared error of the prediction at random steps, averaged over each motion's valid frames, then over motions."""
-    alphas = networks.cumulative_alphas(config).to(clean.device)
-    noisy, steps, noise = noised(clean, config, batch.generator)
-    target = networks.prediction_target(config.prediction, clean.flatten(1), noise.flatten(1), steps, alphas)
-    predicted = network(noisy * mask[..., None], steps, batch.conditions).float()
-    errors = (predicted - target.view(clean.shape)).square().mean(dim=-1) * mask
-    return (errors.sum(dim=1) / mask.sum(dim=1)).mean()
-
-
-@torch.inference_mode()
-def diffusion_sample(network: ConditionalNetwork, batch: SampleBatch, draw: Callable[[], Rows]) -> Rows:
-    """Sample clean motions or latents, float64; `draw` returns fresh noise."""
-    config, start = batch.diffusion, draw()
-    alphas = networks.cumulative_alphas(config)
-
-    def predict_noise(flat: Tensor, steps: Tensor) -> Tensor:
-        noisy, at = flat.view(start.shape).float(), steps.to(start.device)
-        output = guided(network, noisy, at, batch.conditions, batch.unconditional, config.guidance_scale)
-        alpha = float(alphas[int(steps[0])])
-        return networks.predicted_noise(config.prediction, output.double().flatten(1), flat, alpha)
-
-    draw_noise = (lambda: draw().flatten(1)) if config.sampler == "ddpm" else None
-    steps = networks.sampling_steps(config)
-    return networks.sample(predict_noise, start.flatten(1), alphas, steps, draw_noise=draw_noise).view(start.shape)
+    return nn.TransformerEncoder(attention(nn.TransformerEncoderLayer, sizes), sizes.layers, enable_nested_tensor=False)

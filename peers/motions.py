@@ -55,8 +55,6 @@ class MotionsConfig:
         require_positive(self, "fps", "min_seconds", "stride_seconds")
         if self.max_frames < CROP_MULTIPLE:
             raise ValueError(f"max_frames must be {CROP_MULTIPLE} or more, not {self.max_frames}")
-        if self.crops == "scattered" and not self.sampled_frames:
-            raise ValueError("scattered crops need sampled_frames above 0")
 
     @property
     def framerate(self) -> Fraction:
@@ -257,7 +255,17 @@ class MotionCorpus:
             units = available // CROP_MULTIPLE - (chance[0].numpy() < SHORTER_SHARE)
             lengths = np.clip(units * CROP_MULTIPLE, CROP_MULTIPLE, available)
         start = np.floor(chance[1].numpy() * (available - lengths + 1)).astype(np.int64)
-        frames, counts = self._sampled_frames(torch.from_numpy(lengths), generator)
+        counts, most = torch.from_numpy(lengths), self.config.sampled_frames
+        if most and self.config.crops == "scattered":
+            shares = torch.rand((len(rows), most), generator=generator, dtype=torch.float64)
+            frames, counts = (shares * counts[:, None]).to(torch.int64), torch.full((len(rows),), most)
+        else:
+            first = torch.zeros(len(rows), dtype=torch.int64)
+            if most:
+                shares = torch.rand(len(rows), generator=generator, dtype=torch.float64)
+                whole, counts = counts, counts.clamp(max=most)
+                first = (shares * (whole - counts + 1)).to(torch.int64)
+            frames = first[:, None] + torch.arange(int(counts.max()))
         ticks = np.minimum(start[:, None] + frames.numpy(), last_tick[:, None])
         vectors = torch.from_numpy(self.poses.at_rate(rows.numpy(), ticks, self.config.framerate).vectors)
         mask = frames_within(counts, vectors.shape[1])
@@ -265,21 +273,6 @@ class MotionCorpus:
         conditions = self.conditions.draw(rows, chance[[0, 2, 3]], drop=drop)
         padded = self.scaling.apply(vectors) * mask[..., None]
         return MotionBatch(padded, counts, mask, conditions, rows, frames, generator)
-
-    def _sampled_frames(
-        self, lengths: Lengths, generator: torch.Generator
-    ) -> tuple[Int64[Tensor, "batch frames"], Lengths]:
-        """Indices of the frames of crops that the network gets, and their numbers."""
-        most = self.config.sampled_frames
-        if not most:
-            return torch.arange(int(lengths.max())).expand(len(lengths), -1), lengths
-        if self.config.crops == "scattered":
-            chance = torch.rand((len(lengths), most), generator=generator, dtype=torch.float64)
-            return (chance * lengths[:, None]).to(torch.int64), torch.full((len(lengths),), most)
-        counts = lengths.clamp(max=most)
-        chance = torch.rand(len(lengths), generator=generator, dtype=torch.float64)
-        first = (chance * (lengths - counts + 1)).to(torch.int64)
-        return first[:, None] + torch.arange(int(counts.max())), counts
 
 
 def open_corpus(

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import normalize
 
-from motionkit.core.shapes import Float, Int
+from motionkit.core.shapes import Float
 from motionkit.training.config import Schedule
 from pahires.temporal.network import ObservedWindow
 from pahires.temporal.settings import TemporalSettings, base_training, nano_training
@@ -161,23 +161,14 @@ class MetaSr(nn.Module):
         places = torch.round(near.places(near.cell)[0].flatten(0, 1) * PLACES_A_FRAME)
         shared, which = torch.unique(places, dim=0, return_inverse=True)
         matrices = self.weights(shared / PLACES_A_FRAME).reshape(len(shared), -1, self.numbers)
-        return _each_by_its_matrix(codes.flatten(0, 1), matrices, which).reshape(*codes.shape[:2], self.numbers)
-
-
-def _each_by_its_matrix(
-    codes: Float[Tensor, "queries features"],
-    matrices: Float[Tensor, "places features numbers"],
-    which: Int[Tensor, "queries"],
-) -> Float[Tensor, "queries numbers"]:
-    """codes[q] @ matrices[which[q]]: queries are grouped by matrix, padded, and multiplied as a batch."""
-    order = torch.argsort(which, stable=True)
-    counts = torch.bincount(which, minlength=len(matrices))
-    starts = torch.cumsum(counts, 0) - counts
-    column = torch.arange(len(which), device=which.device) - starts[which[order]]
-    laid_out = codes.new_zeros(len(matrices), int(counts.max()), codes.shape[1])
-    laid_out = laid_out.index_put((which[order], column), codes[order])
-    products = torch.bmm(laid_out, matrices)[which[order], column]
-    return torch.empty_like(products).index_copy(0, order, products)
+        # Queries are grouped by their matrix, padded, and multiplied as a batch.
+        order, flat = torch.argsort(which, stable=True), codes.flatten(0, 1)
+        counts = torch.bincount(which, minlength=len(matrices))
+        column = torch.arange(len(which), device=which.device) - (torch.cumsum(counts, 0) - counts)[which[order]]
+        grouped = codes.new_zeros(len(matrices), int(counts.max()), flat.shape[1])
+        grouped = grouped.index_put((which[order], column), flat[order])
+        products = torch.bmm(grouped, matrices)[which[order], column]
+        return torch.empty_like(products).index_copy(0, order, products).view(*codes.shape[:2], self.numbers)
 
 
 @dataclass(frozen=True)

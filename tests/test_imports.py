@@ -87,7 +87,7 @@ BROKEN = (
     ("motionkit/core/motion.py", "import motionkit.fields.resample", "data flows one way in motionkit"),
     ("nerm/latents.py", "import nerm.network", "data flows one way in nerm"),
     ("pahires/temporal/training.py", "import pahires.model", "data flows one way in pahires"),
-    ("peers/layers.py", "import peers.mdm", "data flows one way in peers"),
+    ("peers/layers.py", "import peers.diffusion", "data flows one way in peers"),
     ("eval/sets/sets.py", "import eval.tables.table", "data flows one way in eval"),
     ("eval/tables/table.py", "import nerm.model", "models and the evaluation stand above motionkit"),
     ("eval/tables/table.py", "import pahires.model", "nerm and eval know nothing of pahires"),

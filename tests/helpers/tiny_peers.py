@@ -8,19 +8,32 @@ from typing import Any
 import motionkit as mk
 from motionkit.training.config import Schedule
 from motionkit.training.run import RunFolder, StageContext
-from peers.actor import ACTOR
-from peers.camdm import CAMDM, CamdmNetworkConfig
-from peers.flow import FLOW, FlowNetworkConfig
+from peers.diffusion import (
+    CAMDM,
+    FLOW,
+    MDM,
+    MDM_50,
+    MLD,
+    MLD_VAE,
+    CamdmNetworkConfig,
+    FlowNetworkConfig,
+    MldNetworkConfig,
+    MldVaeNetworkConfig,
+)
 from peers.generating import PeerStage
-from peers.hier import HIER, HierNetworkConfig
-from peers.inr_mlp import INR_MLP, InrMlpNetworkConfig
-from peers.jl2p import JL2P, Jl2pNetworkConfig
+from peers.latents import ACTOR, INR_MLP, NEMF, NEMF_PATH, InrMlpNetworkConfig, NemfNetworkConfig, NemfPathNetworkConfig
 from peers.layers import TransformerSizes
-from peers.mdm import MDM, MDM_50
-from peers.mld import MLD, MLD_VAE, MldNetworkConfig, MldVaeNetworkConfig
 from peers.motions import ConditionsConfig, MotionsConfig
-from peers.nemf import NEMF, NEMF_PATH, NemfNetworkConfig, NemfPathNetworkConfig
-from peers.t2m import T2M, T2M_AUTOENCODER, T2mAutoencoderNetworkConfig, T2mNetworkConfig
+from peers.recurrent import (
+    HIER,
+    JL2P,
+    T2M,
+    T2M_AUTOENCODER,
+    HierNetworkConfig,
+    Jl2pNetworkConfig,
+    T2mAutoencoderNetworkConfig,
+    T2mNetworkConfig,
+)
 from tests.helpers.nerm_corpus import analytic_positions
 
 EVERY = (MDM, MDM_50, MLD_VAE, MLD, INR_MLP, ACTOR, T2M_AUTOENCODER, T2M, CAMDM, FLOW, JL2P, HIER, NEMF_PATH, NEMF)

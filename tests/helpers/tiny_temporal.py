@@ -6,7 +6,7 @@ from typing import Any
 from motionkit.training.config import apply_overrides
 from pahires.recipes import NetworkSettings, PaHiResConfig, nano
 from pahires.temporal.settings import TaskSettings, TemporalSettings
-from peers.delta_interp import DELTA_INTERP, DeltaInterpNetworkConfig
+from peers.inbetweening import DELTA_INTERP, TS_FORMER, DeltaInterpNetworkConfig, TsFormerNetworkConfig
 from peers.super_resolution import (
     A_LIIF,
     LIIF,
@@ -18,7 +18,6 @@ from peers.super_resolution import (
     LmfNetworkConfig,
     MetaSrNetworkConfig,
 )
-from peers.ts_former import TS_FORMER, TsFormerNetworkConfig
 from tests.helpers.small_network import TASKS
 
 PAHIRES_NETWORK = NetworkSettings(

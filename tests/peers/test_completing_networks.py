@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from pahires.model import PaHiRes
 from pahires.temporal.network import ObservedWindow
-from peers.delta_interp import DeltaInterp, DeltaInterpNetworkConfig
+from peers.inbetweening import DeltaInterp, DeltaInterpNetworkConfig, RelativeEncoder, TsFormer, TsFormerNetworkConfig
 from peers.super_resolution import (
     ALiif,
     ALiifNetworkConfig,
@@ -22,7 +22,6 @@ from peers.super_resolution import (
     MetaSr,
     MetaSrNetworkConfig,
 )
-from peers.ts_former import RelativeEncoder, TsFormer, TsFormerNetworkConfig
 from tests.helpers.tiny_temporal import PAHIRES_NETWORK
 
 POSE = 9

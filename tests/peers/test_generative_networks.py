@@ -23,19 +23,39 @@ from motionkit.features.native import NativeVectors
 from motionkit.training.config import DiffusionConfig
 from motionkit.training.loop import dropout_from, step_generator
 from motionkit.training.networks import Conditions, ConditionSizes, VectorScaling
-from peers.actor import ACTOR
-from peers.camdm import CAMDM
-from peers.flow import FLOW, AbsoluteCoordinates, Flow, FlowLayer, FlowNetworkConfig
+from peers.diffusion import (
+    CAMDM,
+    FLOW,
+    MDM,
+    MDM_50,
+    MLD,
+    AbsoluteCoordinates,
+    Flow,
+    FlowLayer,
+    FlowNetworkConfig,
+    LongSkips,
+    Mdm,
+    MdmNetworkConfig,
+    Mld,
+    MldNetworkConfig,
+    MldVae,
+    MldVaeNetworkConfig,
+)
 from peers.generating import PeerStage
-from peers.hier import HIER, body_parts
-from peers.inr_mlp import INR_MLP, fit_mixture, length_intervals
-from peers.jl2p import JL2P
+from peers.latents import (
+    ACTOR,
+    INR_MLP,
+    NEMF,
+    Nemf,
+    NemfNetworkConfig,
+    NemfPath,
+    NemfPathNetworkConfig,
+    fit_mixture,
+    length_intervals,
+)
 from peers.layers import NetworkInputs, PeerNetwork, TransformerSizes
-from peers.mdm import MDM, MDM_50, Mdm, MdmNetworkConfig
-from peers.mld import MLD, LongSkips, Mld, MldNetworkConfig, MldVae, MldVaeNetworkConfig
 from peers.motions import MotionBatch, PoseSpace, SampleBatch, frames_within
-from peers.nemf import NEMF, Nemf, NemfNetworkConfig, NemfPath, NemfPathNetworkConfig
-from peers.t2m import T2M
+from peers.recurrent import HIER, JL2P, T2M, body_parts
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.tiny_peers import STAGES, tiny_config
 
