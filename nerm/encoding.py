@@ -17,6 +17,7 @@ from torch import Tensor
 
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.reconstruction import ModelWindows
 from motionkit.data.windows import (
     FrameValues,
@@ -25,7 +26,6 @@ from motionkit.data.windows import (
     Windows,
     chunks,
     cut_windows,
-    normalise_seconds,
     open_frames,
 )
 from motionkit.features import field

@@ -19,13 +19,13 @@ from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, task, warn
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.windows import (
     FrameValues,
     WindowPoses,
     Windows,
     chunks,
     cut_windows,
-    normalise_seconds,
     open_frames,
     rows_by_duration,
     shuffled_batches,

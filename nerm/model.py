@@ -20,7 +20,8 @@ from motionkit.core.errors import UsageError
 from motionkit.core.files import sha256_of
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
-from motionkit.data.windows import Windows, normalise_seconds
+from motionkit.core.timegrid import normalise_seconds
+from motionkit.data.windows import Windows
 from motionkit.features.convention import PoseVectors
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.fields.assembly import laid
@@ -106,7 +107,8 @@ class TrainedField:
     def max_training_fps(self) -> Fraction:
         """Highest framerate in training: the fastest window's, or that of fixed-framerate training."""
         fixed = self.config.clips.fixed_framerate
-        return self.windows.exact_fps(int(np.argmax(self.windows.fps))) if fixed is None else fixed
+        rates = zip(self.windows.fps_numerator.tolist(), self.windows.fps_denominator.tolist(), strict=True)
+        return max(Fraction(*rate) for rate in rates) if fixed is None else fixed
 
     @property
     def device(self) -> torch.device:

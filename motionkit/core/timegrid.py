@@ -101,3 +101,10 @@ class TimeGrid:
 def num_frames_within(span_seconds: float, fps: Fraction) -> int:
     """Number of frames k / fps that lie in [0, span_seconds], the end included within `SAME_SECONDS`."""
     return int(np.floor((span_seconds + SAME_SECONDS) * float(fps))) + 1
+
+
+def normalise_seconds(
+    seconds: Float64[np.ndarray, "*shape"], max_duration_seconds: float
+) -> Float64[np.ndarray, "*shape"]:
+    """Seconds since the start of a window of l_max seconds → coordinates in [−1, 1] (NeRM §3.1)."""
+    return -1.0 + 2.0 * seconds / max_duration_seconds

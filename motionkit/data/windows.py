@@ -15,6 +15,7 @@ from motionkit.core.errors import UsageError
 from motionkit.core.motion import mirror_positions
 from motionkit.core.shapes import Bool, Float32, Float64, Int, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.timegrid import normalise_seconds
 from motionkit.features import field, native
 from motionkit.features.convention import PoseVectors, PoseVectorsName
 from motionkit.features.field import FIELD_VECTORS
@@ -248,13 +249,6 @@ Batch = Int64[np.ndarray, "batch"]
 BatchPoses = Int64[np.ndarray, "batch poses"]
 
 Uniform = Callable[..., np.ndarray]
-
-
-def normalise_seconds(
-    seconds: Float64[np.ndarray, "*shape"], max_duration_seconds: float
-) -> Float64[np.ndarray, "*shape"]:
-    """Seconds since the start of a window of l_max seconds → coordinates in [−1, 1] (NeRM §3.1)."""
-    return -1.0 + 2.0 * seconds / max_duration_seconds
 
 
 @dataclass(frozen=True, eq=False)
