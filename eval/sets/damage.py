@@ -1,7 +1,7 @@
 """Damage of motion: graded corruptions, harmless transforms, and games, which hide damage from the figures.
 
 An evaluator is calibrated with them: its clip-FID must rise with every family and stay flat under the transforms. They
-act on one take of joint positions [frames, joints, 3] in metres, y up, and keep its dtype.
+act on one take of joint positions [frames, joints, 3] in metres, y up.
 
 A game adds something to upsampled or low-passed motion: noise, at any time or at the right one, to positions or to
 rotations, or the fast motion of other takes. It is won if no figure of clip-FID and the detail profile sees it.
@@ -40,23 +40,33 @@ def upsample_linear(take: Take, fps: float, kept_fps: float, rng: np.random.Gene
     """
     before, after, fraction = _kept_poses(take, fps, kept_fps, rng)
     u = fraction[:, None, None]
-    return ((1 - u) * before + u * after).astype(take.dtype)
+    return np.asarray((1 - u) * before + u * after)
 
 
 def upsample_slerp(take: Take, fps: float, kept_fps: float, rng: np.random.Generator) -> Take:
     """Keep only the poses at `kept_fps` and turn every bone along the great circle between them; the root is linear.
 
     Positions carry no twist, so each bone's direction is slerped in the world and its length interpolated: bones stay
-    rigid, as under SLERP of joint rotations (Shoemake 1985). Kept poses as in `upsample_linear`.
+    rigid, as under SLERP of joint rotations (Shoemake 1985). Opposite directions go linearly. Kept poses as in
+    `upsample_linear`.
     """
     before, after, fraction = _kept_poses(take, fps, kept_fps, rng)
-    u, parents = fraction[:, None], np.array(SMPL22.parents[1:])
-    bones = _slerp(before[:, 1:] - before[:, parents], after[:, 1:] - after[:, parents], u[..., None])
+    parents, u = list(SMPL22.parents[1:]), fraction[:, None, None]
+    bones = [poses[:, 1:] - poses[:, parents] for poses in (before, after)]
+    lengths = [np.linalg.norm(each, axis=-1, keepdims=True) for each in bones]
+    start, end = (each / np.maximum(length, 1e-12) for each, length in zip(bones, lengths, strict=True))
+    angle = np.arccos(np.clip(np.sum(start * end, axis=-1, keepdims=True), -1.0, 1.0))
+    sine = np.sin(angle)
+    straight = sine < 1e-6
+    safe = np.where(straight, 1.0, sine)
+    first = np.where(straight, 1 - u, np.sin((1 - u) * angle) / safe)
+    second = np.where(straight, u, np.sin(u * angle) / safe)
+    turned = (first * start + second * end) * ((1 - u) * lengths[0] + u * lengths[1])
     result = np.empty_like(before)
-    result[:, 0] = (1 - u) * before[:, 0] + u * after[:, 0]
-    for joint, parent in enumerate(parents.tolist(), start=1):
-        result[:, joint] = result[:, parent] + bones[:, joint - 1]
-    return result.astype(take.dtype)
+    result[:, 0] = (1 - u[:, 0]) * before[:, 0] + u[:, 0] * after[:, 0]
+    for joint, parent in enumerate(parents, start=1):
+        result[:, joint] = result[:, parent] + turned[:, joint - 1]
+    return result
 
 
 def _kept_poses(take: Take, fps: float, kept_fps: float, rng: np.random.Generator) -> tuple[Noise, Noise, Noise]:
@@ -75,73 +85,44 @@ def _kept_poses(take: Take, fps: float, kept_fps: float, rng: np.random.Generato
     return poses(before), poses(after), (frames - before) / gap
 
 
-def _slerp(before: Noise, after: Noise, u: Noise) -> Noise:
-    """Vectors between two: directions along the great circle, lengths linear; opposite vectors go linearly."""
-    lengths = [np.linalg.norm(bones, axis=-1, keepdims=True) for bones in (before, after)]
-    start, end = (bones / np.maximum(length, 1e-12) for bones, length in zip((before, after), lengths, strict=True))
-    angle = np.arccos(np.clip(np.sum(start * end, axis=-1, keepdims=True), -1.0, 1.0))
-    sine = np.sin(angle)
-    straight = sine < 1e-6
-    safe = np.where(straight, 1.0, sine)
-    first = np.where(straight, 1 - u, np.sin((1 - u) * angle) / safe)
-    second = np.where(straight, u, np.sin(u * angle) / safe)
-    turned: Noise = (first * start + second * end) * ((1 - u) * lengths[0] + u * lengths[1])
-    return turned
-
-
-def upsample_cubic(take: Take, fps: float, kept_fps: float, rng: np.random.Generator) -> Take:
+def _upsample_cubic(take: Take, fps: float, kept_fps: float, rng: np.random.Generator) -> Take:
     """Keep only the poses at so many frames a second, and read the others from a cubic spline through them."""
     spacing, last = max(fps / kept_fps, 1.0), len(take) - 1
     if last < 1:
-        return take.copy()
+        return take
     phase = spacing * rng.uniform() * (spacing > 1.0)
     knots, frames = np.unique(np.concatenate(([0.0], np.arange(phase, last, spacing), [last]))), np.arange(last + 1)
-    poses = CubicSpline(frames, take.astype(np.float64))(knots)
-    return np.asarray(CubicSpline(knots, poses)(frames), dtype=take.dtype)
+    return np.asarray(CubicSpline(knots, CubicSpline(frames, take)(knots))(frames))
 
 
 def slide(take: Take, fps: float, metres_per_second: float, rng: np.random.Generator) -> Take:
     """Let the whole body drift horizontally at a constant speed in a random direction: planted feet slide."""
     direction = rng.uniform(0, 2 * np.pi)
     step = metres_per_second / fps * np.array([np.sin(direction), 0.0, np.cos(direction)])
-    return (take + np.arange(len(take))[:, None, None] * step).astype(take.dtype)
+    return np.asarray(take + np.arange(len(take))[:, None, None] * step)
 
 
 def jitter(take: Take, fps: float, metres: float, rng: np.random.Generator) -> Take:
     """Add independent Gaussian noise to every joint, axis and frame; `metres` is its standard deviation."""
-    return (take + metres * rng.standard_normal(take.shape)).astype(take.dtype)
-
-
-def _low_pass(take: Take, fps: float, cutoff_hz: float, rng: np.random.Generator) -> Take:
-    return low_pass(take, fps, cutoff_hz)
-
-
-def _lower(take: Take, fps: float, metres: float, rng: np.random.Generator) -> Take:
-    """Sink the whole body."""
-    return (take - metres * np.array([0.0, 1.0, 0.0])).astype(take.dtype)
-
-
-def _reverse(take: Take, fps: float, strength: float, rng: np.random.Generator) -> Take:
-    """Play the motion backwards."""
-    return take[::-1].copy()
+    return np.asarray(take + metres * rng.standard_normal(take.shape))
 
 
 def _freeze_feet(take: Take, fps: float, share: float, rng: np.random.Generator) -> Take:
     """Bring ankles and toes so far towards their mean places beside the root: with 1 they do not move beside it."""
-    result = take.astype(np.float64)
+    result = take.copy()
     beside = result[:, FEET] - result[:, :1]
     result[:, FEET] += share * (beside.mean(axis=0) - beside)
-    return result.astype(take.dtype)
+    return result
 
 
 def _pop(take: Take, fps: float, metres: float, rng: np.random.Generator) -> Take:
     """Displace one joint for one frame, about once a second, by so many metres in a random direction."""
-    result, num_joints = take.astype(np.float64), take.shape[1]
+    result, num_joints = take.copy(), take.shape[1]
     frames = np.flatnonzero(rng.random(len(take)) < 1.0 / fps)
     direction = rng.standard_normal((len(frames), 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     result[frames, rng.integers(num_joints, size=len(frames))] += metres * direction
-    return result.astype(take.dtype)
+    return result
 
 
 @dataclass(frozen=True)
@@ -155,8 +136,12 @@ class Family:
     name: str
     unit: str
     levels: tuple[float, ...]
-    corrupt: Damage
+    damage: Damage
     clean_at: float | None = None
+
+    def corrupt(self, take: Take, fps: float, strength: float, rng: np.random.Generator) -> Take:
+        """A damaged copy of a take, in its dtype."""
+        return self.damage(take.astype(np.float64), fps, strength, rng).astype(take.dtype)
 
     def levels_at(self, fps: float) -> tuple[float, ...]:
         """The levels that have an effect at this framerate, mild to severe."""
@@ -169,10 +154,10 @@ FAMILIES = (
     Family("upsampling-linear", "fps", RATES, upsample_linear, 1.0),
     Family("foot-sliding", "m/s", (0.01, 0.02, 0.05, 0.1, 0.2), slide),
     Family("jitter", "m", (0.0005, 0.001, 0.002, 0.005, 0.01), jitter),
-    Family("low-pass", "Hz", (20.0, 10.0, 5.0, 3.0), _low_pass, 0.5),
-    Family("upsampling-cubic", "fps", RATES, upsample_cubic, 1.0),
-    Family("floor-height", "m", (0.05, 0.1, 0.2, 0.3), _lower),
-    Family("time-reversed", "of the frames", (1.0,), _reverse),
+    Family("low-pass", "Hz", (20.0, 10.0, 5.0, 3.0), lambda take, fps, hz, rng: low_pass(take, fps, hz), 0.5),
+    Family("upsampling-cubic", "fps", RATES, _upsample_cubic, 1.0),
+    Family("floor-height", "m", (0.05, 0.1, 0.2, 0.3), lambda take, fps, metres, rng: take - [0.0, metres, 0.0]),
+    Family("time-reversed", "of the frames", (1.0,), lambda take, fps, share, rng: take[::-1]),
     Family("frozen-feet", "of the way", (0.25, 0.5, 1.0), _freeze_feet),
     Family("pops", "m", (0.02, 0.05, 0.1), _pop),
 )
@@ -196,23 +181,19 @@ def translate(
     return moved.astype(positions.dtype)
 
 
-def shift_between_frames(take: Take, frames: float = 0.5) -> Take:
-    """The motion `frames` (−1 … 1) later, by windowed-sinc interpolation: gain 1 up to 0.96 of the Nyquist frequency.
+def shift_by_half_a_frame(take: Take) -> Take:
+    """The motion half a frame later, by windowed-sinc interpolation: gain 1 up to 0.96 of the Nyquist frequency.
 
     The kernel (Kaiser, 80 dB) reaches 64 frames; without a window, a single frame's glitch would ring through the
     whole take.
     """
     reach = min(SHIFT_REACH_FRAMES, max(1, len(take) - 1))
     taps = np.arange(-reach, reach + 1)
-    distance = taps - frames
+    distance = taps - 0.5
     inside = np.sqrt(np.maximum(0.0, 1.0 - (distance / (reach + 1)) ** 2))
-    weights: npt.NDArray[np.float64] = np.sinc(distance) * np.i0(KAISER_BETA * inside)
+    weights = np.sinc(distance) * np.i0(KAISER_BETA * inside)
     weights /= weights.sum()
-
-    def transfer(frequencies: npt.NDArray[np.float64]) -> npt.NDArray[np.complex128]:
-        return np.asarray(weights @ np.exp(2j * np.pi * np.outer(taps, frequencies)), dtype=np.complex128)
-
-    return filtered(take, transfer, frames)
+    return filtered(take, lambda f: np.asarray(weights @ np.exp(2j * np.pi * np.outer(taps, f))), delay=0.5)
 
 
 NUM_GAMES = 3
@@ -220,8 +201,6 @@ NUM_GAMES = 3
 KEPT_FPS = 20.0
 LOW_PASS_HZ = 8.0
 TEXTURE_HZ = 10.0
-NOISE_METRES = (0.0001, 0.0003, 0.001)
-LANDING_NOISE_METRES = (0.0001, 0.0003, 0.0005, 0.001, 0.002)
 TEXTURE_GAINS = (0.5, 1.0, 2.0)
 FAST_METRES_PER_SECOND = 0.5
 NUM_LENDERS = 4
@@ -235,111 +214,101 @@ POSES_COMPARED = 4
 PHASES_PER_SECOND = 60
 MAX_WINDOWS = 60_000
 WINDOWS_AT_ONCE = 256
+ALIGNED = "fast part of the nearest training motion"
 
 
-@dataclass(frozen=True, eq=False)
-class Games:
-    """A plain corruption, and the same with cheats on top: sets of the same takes, by name."""
-
-    parent: str
-    honest: SampleSet
-    cheats: dict[str, SampleSet]
-
-
-def games(real: SampleSet, seed: int = 0, training: SampleSet | None = None) -> Iterator[Games]:
-    """Upsampled and low-passed motion, each plain and disguised; one corruption at a time.
+def games(real: SampleSet, seed: int = 0, training: SampleSet | None = None) -> Iterator[dict[str, SampleSet]]:
+    """Upsampled and low-passed motion, one corruption at a time: the plain set first, then disguised ones, by name.
 
     With `training` motion at the framerate of `real`, some disguises add its fast part where its slow part is nearest.
     """
-    fps = float(real.fps)
-    rng = np.random.default_rng((seed, 7))
-    upsampled = _with(real, [upsample_slerp(take, fps, KEPT_FPS, rng) for take in real.sequences])
-    slow = _with(real, [low_pass(take, fps, LOW_PASS_HZ) for take in real.sequences])
-    slower = _with(real, [low_pass(take, fps, TEXTURE_HZ) for take in real.sequences])
-    windows = None if training is None else _windows(training)
+    fps, rng = float(real.fps), np.random.default_rng((seed, 7))
+    fast_part_near = None if training is None else _fast_parts(training)
     if fps > KEPT_FPS:
-        yield _games("upsampled from 20 fps", upsampled, real, seed, windows)
-    yield _games("low-passed at 8 Hz", slow, real, seed, windows)
+        upsampled = _with(real, [upsample_slerp(take, fps, KEPT_FPS, rng) for take in real.sequences])
+        yield _disguised("upsampled from 20 fps", upsampled, real, seed, fast_part_near)
+    slow, slower = (
+        _with(real, [low_pass(take, fps, cutoff_hz) for take in real.sequences])
+        for cutoff_hz in (LOW_PASS_HZ, TEXTURE_HZ)
+    )
+    yield _disguised("low-passed at 8 Hz", slow, real, seed, fast_part_near)
     name = "low-passed at 10 Hz"
-    yield Games(name, slower, {f"{name} + fast part of another take": _borrowed(slower, real, seed)})
+    yield {name: slower, f"{name} + fast part of another take": _borrowed(slower, real, seed)}
 
 
-def _games(parent: str, honest: SampleSet, real: SampleSet, seed: int, windows: "_Windows | None") -> Games:
-    cheats = {}
-    for kind, noise in NOISES.items():
-        for metres in LANDING_NOISE_METRES if kind == LANDINGS else NOISE_METRES:
+def _disguised(
+    name: str, plain: SampleSet, real: SampleSet, seed: int, fast_part_near: Callable[[Take], Noise] | None
+) -> dict[str, SampleSet]:
+    played, fps = {name: plain}, float(real.fps)
+    for kind, (noise, strengths, follows_motion) in NOISES.items():
+        for metres in strengths:
             rng = np.random.default_rng((seed, 8))
-            noisy = [take + metres * noise(take, real, rng) for take in honest.sequences]
-            cheats[f"{parent} + {kind}, {1000 * metres:g} mm"] = _with(honest, noisy)
-            if kind in TIMED:
-                rigid = [with_bones_of(each, take) for each, take in zip(noisy, honest.sequences, strict=True)]
-                cheats[f"{parent} + {kind}, {1000 * metres:g} mm, of rotations"] = _with(honest, rigid)
-    cheats[f"{parent} + fast part of another take"] = _borrowed(honest, real, seed)
-    if windows is not None:
-        fast = [windows.fast_motion(take) for take in honest.sequences]
+            noisy = [take + metres * noise(take, fps, rng) for take in plain.sequences]
+            played[f"{name} + {kind}, {1000 * metres:g} mm"] = _with(plain, noisy)
+            if follows_motion:
+                rigid = [with_bones_of(each, take) for each, take in zip(noisy, plain.sequences, strict=True)]
+                played[f"{name} + {kind}, {1000 * metres:g} mm, of rotations"] = _with(plain, rigid)
+    played[f"{name} + fast part of another take"] = _borrowed(plain, real, seed)
+    if fast_part_near is not None:
+        fast = [fast_part_near(take) for take in plain.sequences]
         for gain in TEXTURE_GAINS:
-            takes = [take + gain * each for take, each in zip(honest.sequences, fast, strict=True)]
-            cheats[f"{parent} + {ALIGNED} × {gain:g}"] = _with(honest, takes)
-    return Games(parent, honest, cheats)
+            takes = [take + gain * each for take, each in zip(plain.sequences, fast, strict=True)]
+            played[f"{name} + {ALIGNED} × {gain:g}"] = _with(plain, takes)
+    return played
 
 
-def _white(take: Take, like: SampleSet, rng: np.random.Generator) -> Noise:
-    return rng.standard_normal(take.shape)
-
-
-def _pink(take: Take, like: SampleSet, rng: np.random.Generator) -> Noise:
+def _pink(take: Take, fps: float, rng: np.random.Generator) -> Noise:
     """Power as 1 / f above 1 Hz; unit variance."""
-    spectrum: npt.NDArray[np.complex128] = scipy.fft.rfft(rng.standard_normal(take.shape), axis=0)
-    gain = 1.0 / np.sqrt(np.maximum(scipy.fft.rfftfreq(len(take), 1 / float(like.fps)), 1.0))
+    spectrum = scipy.fft.rfft(rng.standard_normal(take.shape), axis=0)
+    gain = 1.0 / np.sqrt(np.maximum(scipy.fft.rfftfreq(len(take), 1 / fps), 1.0))
     gain /= np.sqrt(np.mean(gain**2))
-    return np.asarray(scipy.fft.irfft(spectrum * gain[:, None, None], n=len(take), axis=0), dtype=np.float64)
+    return np.asarray(scipy.fft.irfft(spectrum * gain[:, None, None], n=len(take), axis=0))
 
 
-def _on_fast_joints(take: Take, like: SampleSet, rng: np.random.Generator) -> Noise:
+def _on_fast_joints(take: Take, fps: float, rng: np.random.Generator) -> Noise:
     """White noise on the half of the joints that move fastest over the take."""
-    speed = _speed(take, like).mean(axis=0)
-    fast = speed > np.median(speed)
-    noise: Noise = rng.standard_normal(take.shape) * fast[:, None]
-    return noise
+    speed = _speed(take, fps).mean(axis=0)
+    return np.asarray(rng.standard_normal(take.shape) * (speed > np.median(speed))[:, None])
 
 
-def _while_joints_are_fast(take: Take, like: SampleSet, rng: np.random.Generator) -> Noise:
+def _while_joints_are_fast(take: Take, fps: float, rng: np.random.Generator) -> Noise:
     """White noise on every joint while it moves at 0.5 m/s or more: noise that follows the motion."""
-    return rng.standard_normal(take.shape) * (_speed(take, like) >= FAST_METRES_PER_SECOND)[..., None]
+    return rng.standard_normal(take.shape) * (_speed(take, fps) >= FAST_METRES_PER_SECOND)[..., None]
 
 
-def _after_landings(take: Take, like: SampleSet, rng: np.random.Generator) -> Noise:
+def _speed(take: Take, fps: float) -> Noise:
+    """Speed of every joint in every frame, in m/s."""
+    return np.asarray(np.linalg.norm(np.gradient(take.astype(np.float64), axis=0), axis=-1) * fps)
+
+
+def _after_landings(take: Take, fps: float, rng: np.random.Generator) -> Noise:
     """White noise on every joint for 0.12 s after a foot lands."""
-    fps, heights = float(like.fps), take[:, FEET, 1].astype(np.float64)
+    heights = take[:, FEET, 1].astype(np.float64)
     falls = np.gradient(heights, axis=0) * fps < -LANDING_METRES_PER_SECOND
     low = heights < np.percentile(heights, 5, axis=0) + LANDING_METRES
-    landings = np.flatnonzero((falls[:-1] & ~falls[1:] & low[1:]).any(axis=1)) + 1
     noisy = np.zeros(len(take), dtype=bool)
-    for frame in landings:
+    for frame in np.flatnonzero((falls[:-1] & ~falls[1:] & low[1:]).any(axis=1)) + 1:
         noisy[frame : frame + round(AFTER_LANDING_SECONDS * fps)] = True
     return rng.standard_normal(take.shape) * noisy[:, None, None]
 
 
-def _by_vertical_acceleration(take: Take, like: SampleSet, rng: np.random.Generator) -> Noise:
+def _by_vertical_acceleration(take: Take, fps: float, rng: np.random.Generator) -> Noise:
     """White noise on every joint, as strong as its vertical acceleration; of unit strength on average."""
     acceleration = np.abs(np.gradient(np.gradient(take[..., 1].astype(np.float64), axis=0), axis=0))
     share = acceleration / np.maximum(acceleration.mean(axis=0), 1e-12)
-    noise: Noise = rng.standard_normal(take.shape) * share[..., None]
-    return noise
+    return np.asarray(rng.standard_normal(take.shape) * share[..., None])
 
 
-LANDINGS = "noise after landings"
-NOISES: dict[str, Callable[[Take, SampleSet, np.random.Generator], Noise]] = {
-    "white noise": _white,
-    "pink noise": _pink,
-    "noise on fast joints": _on_fast_joints,
-    "noise while joints are fast": _while_joints_are_fast,
-    LANDINGS: _after_landings,
-    "noise by vertical acceleration": _by_vertical_acceleration,
+METRES = (0.0001, 0.0003, 0.001)
+NOISES: dict[str, tuple[Callable[[Take, float, np.random.Generator], Noise], tuple[float, ...], bool]] = {
+    "white noise": (lambda take, fps, rng: rng.standard_normal(take.shape), METRES, False),
+    "pink noise": (_pink, METRES, False),
+    "noise on fast joints": (_on_fast_joints, METRES, False),
+    "noise while joints are fast": (_while_joints_are_fast, METRES, False),
+    "noise after landings": (_after_landings, (0.0001, 0.0003, 0.0005, 0.001, 0.002), True),
+    "noise by vertical acceleration": (_by_vertical_acceleration, METRES, True),
 }
-ALIGNED = "fast part of the nearest training motion"
-TIMED = (LANDINGS, "noise by vertical acceleration")
-"""Noises that follow slow motion."""
+"""Each noise's strengths in metres, and whether it follows slow motion: then it is added to rotations too."""
 
 
 def with_bones_of(
@@ -349,20 +318,14 @@ def with_bones_of(
     built = noisy.copy()
     for joint, parent in enumerate(SMPL22.parents[1:], start=1):
         bone = noisy[:, joint] - noisy[:, parent]
-        length = np.linalg.norm(take[:, joint] - take[:, parent], axis=-1, keepdims=True)
-        built[:, joint] = built[:, parent] + bone * length / np.maximum(
-            np.linalg.norm(bone, axis=-1, keepdims=True), 1e-9
+        length, noisy_length = (
+            np.linalg.norm(each[:, joint] - each[:, parent], axis=-1, keepdims=True) for each in (take, noisy)
         )
+        built[:, joint] = built[:, parent] + bone * length / np.maximum(noisy_length, 1e-9)
     return built
 
 
-def _speed(take: Take, like: SampleSet) -> Noise:
-    """Speed of every joint in every frame, in m/s."""
-    speed: Noise = np.linalg.norm(np.gradient(take.astype(np.float64), axis=0), axis=-1) * float(like.fps)
-    return speed
-
-
-def _borrowed(honest: SampleSet, real: SampleSet, seed: int) -> SampleSet:
+def _borrowed(plain: SampleSet, real: SampleSet, seed: int) -> SampleSet:
     """Add the motion above 10 Hz of other, random takes, repeated if shorter.
 
     Every take is included `NUM_LENDERS` times with different lenders, since the fast part of one take may by chance fit
@@ -371,80 +334,58 @@ def _borrowed(honest: SampleSet, real: SampleSet, seed: int) -> SampleSet:
     rng, takes = np.random.default_rng((seed, 9)), list(real.sequences)
     fast = [take - low_pass(take, float(real.fps), TEXTURE_HZ) for take in takes]
     others = max(1, len(takes) - 1)
-    made = []
-    for index, take in enumerate(honest.sequences):
+    changed = []
+    for index, take in enumerate(plain.sequences):
         steps = 1 + rng.permutation(others)[np.arange(NUM_LENDERS) % others]
-        made += [take + np.resize(fast[(index + step) % len(takes)], take.shape) for step in steps]
-    each = honest.select(np.repeat(np.arange(honest.num_sequences), NUM_LENDERS))
-    return _with(each, made)
+        changed += [take + np.resize(fast[(index + step) % len(takes)], take.shape) for step in steps]
+    return _with(plain.select(np.repeat(np.arange(plain.num_sequences), NUM_LENDERS)), changed)
 
 
-@dataclass(frozen=True, eq=False)
-class _Windows:
-    """Windows of training motion below 8 Hz, for comparison, and the motion above 8 Hz that goes with them.
+def _fast_parts(training: SampleSet) -> Callable[[Take], Noise]:
+    """A function that gives the motion above 8 Hz of the training windows nearest to a take's.
 
-    `poses` [windows, numbers] are relative to place and heading (`yaw`) of a window's middle pose; `first` are frames
-    of `fast`.
+    Windows are compared below 8 Hz, relative to place and heading of their middle pose, and cross-faded every half
+    window.
     """
+    fps = float(training.fps)
+    length = max(2, round(WINDOW_SECONDS * fps))
+    takes = [take for take in training.sequences if len(take) >= length]
+    slow = [low_pass(take, fps, LOW_PASS_HZ) for take in takes]
+    fast = [take - low for take, low in zip(takes, slow, strict=True)]
+    every = max(1, round(fps / PHASES_PER_SECOND), sum(map(len, takes)) // MAX_WINDOWS)
+    starts_of = [np.arange(0, len(take) - length + 1, every) for take in takes]
+    compared = [_compared(take, starts, length) for take, starts in zip(slow, starts_of, strict=True)]
+    training_poses, training_yaw = (np.concatenate(each) for each in zip(*compared, strict=True))
+    take_of, first_of = np.repeat(np.arange(len(takes)), [*map(len, starts_of)]), np.concatenate(starts_of)
+    squares, fade = np.square(training_poses).sum(axis=1), np.hanning(length + 2)[1:-1]
 
-    fps: float
-    poses: npt.NDArray[np.float32]
-    yaw: npt.NDArray[np.float32]
-    fast: tuple[Take, ...]
-    take: npt.NDArray[np.int64]
-    first: npt.NDArray[np.int64]
-
-    def fast_motion(self, take: Take) -> Noise:
-        """The fast motion of the windows that are nearest to a take, cross-faded every half window."""
-        length = _frames(self.fps)
-        starts = np.unique(np.append(np.arange(0, len(take) - length, length // 2), len(take) - length))
-        if starts[0] < 0:
+    def near(take: Take) -> Noise:
+        if len(take) < length:
             return np.zeros(take.shape)
-        poses, yaw = _compared(take, starts, self.fps)
-        squares = np.square(self.poses).sum(axis=1)
+        starts = np.unique(np.append(np.arange(0, len(take) - length, length // 2), len(take) - length))
+        poses, yaw = _compared(take, starts, length)
         added, weight = np.zeros(take.shape), np.full(len(take), 1e-6)
-        fade = np.hanning(length + 2)[1:-1]
         for chunk in np.split(np.arange(len(starts)), range(WINDOWS_AT_ONCE, len(starts), WINDOWS_AT_ONCE)):
-            nearest = np.argmin(squares - 2.0 * poses[chunk] @ self.poses.T, axis=1)
+            nearest = np.argmin(squares - 2.0 * poses[chunk] @ training_poses.T, axis=1)
             for row, window in zip(chunk, nearest, strict=True):
-                first = self.first[window]
-                fast = self.fast[self.take[window]][first : first + length]
+                first = first_of[window]
+                part = turn(fast[take_of[window]][first : first + length], float(yaw[row] - training_yaw[window]))
                 place = slice(starts[row], starts[row] + length)
-                added[place] += fade[:, None, None] * turn(fast, float(yaw[row] - self.yaw[window]))
+                added[place] += fade[:, None, None] * part
                 weight[place] += fade
         return np.asarray(added / weight[:, None, None])
 
-
-def _windows(training: SampleSet) -> _Windows:
-    fps, length = float(training.fps), _frames(float(training.fps))
-    takes = [take for take in training.sequences if len(take) >= length]
-    slow = [low_pass(take, fps, LOW_PASS_HZ) for take in takes]
-    every = max(1, round(fps / PHASES_PER_SECOND), sum(map(len, takes)) // MAX_WINDOWS)
-    starts = [np.arange(0, len(take) - length + 1, every) for take in takes]
-    poses, yaw = zip(*(_compared(take, each, fps) for take, each in zip(slow, starts, strict=True)), strict=True)
-    return _Windows(
-        fps=fps,
-        poses=np.concatenate(poses),
-        yaw=np.concatenate(yaw),
-        fast=tuple(take - low for take, low in zip(takes, slow, strict=True)),
-        take=np.repeat(np.arange(len(takes)), [len(each) for each in starts]),
-        first=np.concatenate(starts),
-    )
+    return near
 
 
 def _compared(
-    take: Take, starts: npt.NDArray[np.int64], fps: float
+    take: Take, starts: npt.NDArray[np.int64], length: int
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Poses [windows, numbers] of a take's windows relative to place and heading of their middle, and the headings."""
-    length = _frames(fps)
     yaw, origin = field.window_frame(take[starts + length // 2])
     rows = starts[:, None] + np.linspace(0, length - 1, POSES_COMPARED).round().astype(np.int64)
     return field.to_window(take[rows], yaw, origin).reshape(len(starts), -1), yaw
 
 
-def _frames(fps: float) -> int:
-    return max(2, round(WINDOW_SECONDS * fps))
-
-
-def _with(samples: SampleSet, takes: Sequence[npt.NDArray[np.floating]]) -> SampleSet:
+def _with(samples: SampleSet, takes: Sequence[Take]) -> SampleSet:
     return samples.with_positions(samples.name, samples.fps, [take.astype(np.float32) for take in takes])

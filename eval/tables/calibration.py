@@ -14,7 +14,7 @@ from eval.clip_fid.score import CLIP_FID, Comparison, feature_sources
 from eval.detail import LEAST_FPS, DetailProfile, RealDetail
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, measure
-from eval.sets.damage import FAMILIES, NUM_GAMES, Family, games, shift_between_frames, translate, turn
+from eval.sets.damage import FAMILIES, NUM_GAMES, Family, games, shift_by_half_a_frame, translate, turn
 from eval.sets.motions import real_motion
 from eval.sets.sets import SampleSet
 from eval.tables.systems import COLUMNS, label
@@ -139,10 +139,7 @@ def calibrate(
         if strengths := family.levels_at(float(real.fps)):
             found = scored({_level(family, strength): _damaged(real, family, strength, seed) for strength in strengths})
             graded[family] = dict(zip(strengths, found.values(), strict=True))
-    played = [
-        scored({each.parent: each.honest, **each.cheats})
-        for each in (games(real, seed, comparison.training) if detail else ())
-    ]
+    played = [scored(each) for each in (games(real, seed, comparison.training) if detail else ())]
     disjoint = plain.disjoint_halves()
     floor = replace(disjoint, ci95=disjoint.drawing)
     return Calibration(comparison.features.fingerprint, clean, floor, graded, flat, played)
@@ -169,7 +166,7 @@ def _harmless(real: SampleSet, seed: int) -> dict[str, SampleSet]:
         "yaw": map(turn, takes, yaws),
         "translation": map(translate, takes, offsets),
         MIRRORED: (mirror_positions(take, SMPL22.left_right_pairs) for take in takes),
-        "sinc interpolation by half a frame": map(shift_between_frames, takes),
+        "sinc interpolation by half a frame": map(shift_by_half_a_frame, takes),
     }
     return {name: real.with_positions(name, real.fps, list(sequences)) for name, sequences in harmless.items()}
 
