@@ -1,4 +1,4 @@
-"""Motions as sample sets: real at a framerate, generated for them, planted, upsampled, low-passed."""
+"""Motions as sample sets: real at a framerate, generated for them, planted, upsampled, low-passed; and copies."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,11 +12,12 @@ import scipy.fft
 
 from eval.sets.sets import Ragged, RowId, SampleSet, Variant, sample_set
 from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.core.motion import Motion, mirror_positions
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.features import humanml3d
+from motionkit.features.field import heading
 from motionkit.features.humanml3d import at_origin, facing_forward, on_floor
 from motionkit.fields.contact.planted import planted, planted_frames
 from motionkit.fields.detail import Detail, detailed
@@ -88,15 +89,10 @@ class RealMotion:
             del self._made[key]
 
 
-def of_split(split: str) -> str:
-    """The SQL condition for the sequences of one split, whatever its name."""
-    quoted = split.replace("'", "''")
-    return f"split = '{quoted}'"
-
-
 def of_split_and(split: str, where: str | None) -> str | None:
     """The SQL condition for the sequences of a split ("all": any) that match `where` too; None for all."""
-    return conjunction(None if split == "all" else of_split(split), where) or None
+    quoted = split.replace("'", "''")
+    return conjunction(None if split == "all" else f"split = '{quoted}'", where) or None
 
 
 def real_motion(store: Store, split: str, where: str | None = None, layout: str = SMPL22.name) -> RealMotion:
@@ -293,12 +289,6 @@ def planted_set(samples: SampleSet) -> SampleSet:
     return replace(samples, name=name, sequences=Ragged.of(made), local_rotations=None)
 
 
-# Frames converted to rotations at once: enough to amortise the cost of a call.
-FRAMES_AT_ONCE = 2048
-# Framerates whose common instants are further apart than this, in frames, are not worth batching.
-MOST_PADDING = 16
-
-
 def upsampled(samples: SampleSet, fps: Fraction, name: str) -> SampleSet:
     """Upsample every sequence by SLERP; ids are kept, for comparison with the real sequences.
 
@@ -315,33 +305,27 @@ def upsampled_positions(
     return upsample(Motion(positions, SMPL22, TimeGrid(fps_from, len(positions))), fps_to).joint_positions
 
 
+SEQUENCES_AT_ONCE = 16
+# Framerates whose common instants are further apart than this, in frames, are not worth batching.
+MOST_PADDING = 16
+
+
 def each_upsampled(
     sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]], fps_from: Fraction, fps_to: Fraction
 ) -> Iterator[Float32[np.ndarray, "_new_frames joints 3"]]:
-    """As `upsampled_positions`, for many sequences of one framerate at a time.
+    """As `upsampled_positions`, for several sequences of one framerate at a time, which is faster.
 
-    They are concatenated, each starting at an instant of both grids. SLERP is local to two neighbouring poses, so only
-    the gaps between sequences are wasted, and dropped.
+    They are concatenated, each starting at an instant of both grids: SLERP is local to two neighbouring poses.
     """
-    step = (fps_to / fps_from).denominator
-    start = 0
-    while start < len(sequences):
-        stop, places, length = start, [], 0
-        room = FRAMES_AT_ONCE if step <= MOST_PADDING else 0
-        while stop < len(sequences) and (stop == start or length + len(sequences[stop]) <= room):
-            length = -(-length // step) * step
-            places.append(length)
-            length += len(sequences[stop])
-            stop += 1
-        joined = np.empty((length, *sequences[start].shape[1:]), dtype=np.float32)
-        for place, following, sequence in zip(places, [*places[1:], length], sequences[start:stop], strict=True):
-            joined[place : place + len(sequence)] = sequence
-            joined[place + len(sequence) : following] = sequence[-1]
-        made = upsampled_positions(joined, fps_from, fps_to)
-        for place, sequence in zip(places, sequences[start:stop], strict=True):
-            first = int(place * fps_to / fps_from)
-            yield made[first : first + num_frames_within((len(sequence) - 1) / float(fps_from), fps_to)]
-        start = stop
+    ratio = fps_to / fps_from
+    at_once, step = (SEQUENCES_AT_ONCE, ratio.denominator) if ratio.denominator <= MOST_PADDING else (1, 1)
+    for start in range(0, len(sequences), at_once):
+        some = sequences[start : start + at_once]
+        padded = [np.pad(each, ((0, -len(each) % step), (0, 0), (0, 0)), mode="edge") for each in some]
+        joined, first = upsampled_positions(np.concatenate(padded), fps_from, fps_to), 0
+        for sequence, own in zip(some, padded, strict=True):
+            yield joined[first : first + num_frames_within((len(sequence) - 1) / float(fps_from), fps_to)]
+            first += int(len(own) * ratio)
 
 
 def upsample_as_vectors(samples: SampleSet, fps: Fraction, name: str) -> SampleSet:
@@ -405,3 +389,128 @@ def filtered(
     smooth = scipy.fft.irfft(spectrum, n=length, axis=-3) + line + delay * slope
     own: Float[np.ndarray, "*batch frames joints 3"] = smooth[..., num_frames - 1 : 2 * num_frames - 1, :, :]
     return own.astype(positions.dtype)
+
+
+COPIES_FPS = Fraction(20)
+SMOOTH_HZ = 5.0
+POSES = np.arange(0, 21, 2)
+"""Frames of a window of a second that are compared."""
+NUM_BONES_COMPARED = len(POSES) * (SMPL22.num_joints - 1)
+QUERY_EVERY, TRAINING_EVERY = 5, 1
+TEMPI = (Fraction(4, 5), Fraction(9, 10), Fraction(1), Fraction(10, 9), Fraction(5, 4))
+NUM_COMPONENTS = 48
+BASIS_WINDOWS = 2048
+QUERIES_AT_ONCE = 512
+STILL_METRES = 0.03
+"""Windows that move less are near everything: the root mean square deviation of bones from their means."""
+HELD_OUT_SHARE = 0.01
+"""Share of held-out real motion's windows that the limit calls copied."""
+PARENTS = np.array(SMPL22.parents[1:])
+
+
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """Every moving window of a set: its motion, its distance to training motion in metres, and as a share of movement.
+
+    The distance is the root mean square difference of bones, movement their deviation from their means.
+    """
+
+    motion: Int64[np.ndarray, "windows"]
+    distance: Float64[np.ndarray, "windows"]
+    relative: Float64[np.ndarray, "windows"]
+
+
+def held_out_limit(held_out: Nearest) -> float:
+    """The relative distance that 1 % of held-out real motion's windows are nearer than; 0 without windows."""
+    return float(np.quantile(held_out.relative, HELD_OUT_SHARE)) if len(held_out.relative) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingWindows:
+    """All windows of training motion, among which copies are sought, whatever their body, tempo, side and place.
+
+    Motions are compared at 20 fps, low-passed at 5 Hz, as the bones of one reference body. A window is a second, turned
+    to face Z+ at its middle, held as principal components and the length of what these leave: distances of such values
+    are at most those of the windows, and equal them for copies.
+    """
+
+    mean: Float32[np.ndarray, "numbers"]
+    components: Float32[np.ndarray, "numbers components"]
+    values: Float32[np.ndarray, "windows values"]
+
+    @classmethod
+    def of(cls, training: SampleSet) -> "TrainingWindows":
+        """Raises `ValueError` if no motion lasts a second."""
+        rows = np.concatenate([_bone_windows(_slow(each, training.fps), TRAINING_EVERY) for each in training.sequences])
+        if not len(rows):
+            raise ValueError("no training motion lasts a second")
+        some = rows[:: -(-len(rows) // BASIS_WINDOWS)]
+        mean = some.mean(axis=0)
+        components = np.linalg.svd(some - mean, full_matrices=False)[2][:NUM_COMPONENTS].T
+        return cls(mean, components, _projected(rows - mean, components))
+
+    def nearest(self, samples: SampleSet) -> Nearest:
+        """The nearest training window to every moving window of a set, as it is and mirrored, at tempi of 0.8 to 1.25.
+
+        Windows are a quarter of a second apart.
+        """
+        motion, distance, relative = [np.empty(0, np.int64)], [np.empty(0)], [np.empty(0)]
+        for number, positions in enumerate(samples.sequences):
+            windows = []
+            for tempo in TEMPI:
+                slow = _slow(positions, samples.fps * tempo)
+                mirrored = mirror_positions(slow, SMPL22.left_right_pairs)
+                windows += [_bone_windows(slow, QUERY_EVERY, tempo), _bone_windows(mirrored, QUERY_EVERY, tempo)]
+            count = min(map(len, windows))
+            own = windows[2 * TEMPI.index(Fraction(1))][:count].reshape(count, len(POSES), len(PARENTS) * 3)
+            deviation = np.square(own - own.mean(axis=1, keepdims=True)).sum(axis=(1, 2))
+            movement = np.sqrt(deviation / NUM_BONES_COMPARED)
+            moving = movement >= STILL_METRES
+            if moving.any():
+                nearest = np.min([self._distance(each[:count][moving]) for each in windows], axis=0)
+                motion.append(np.full(len(nearest), number))
+                distance.append(nearest)
+                relative.append(nearest / movement[moving])
+        return Nearest(np.concatenate(motion), np.concatenate(distance), np.concatenate(relative))
+
+    def _distance(self, windows: Float32[np.ndarray, "queries numbers"]) -> Float64[np.ndarray, "queries"]:
+        """Root mean square difference of bones to the nearest training window."""
+        values = _projected(windows - self.mean, self.components)
+        squares, found = np.square(self.values).sum(axis=1), np.empty(len(windows))
+        for first in range(0, len(windows), QUERIES_AT_ONCE):
+            some = values[first : first + QUERIES_AT_ONCE]
+            apart = squares - 2.0 * some @ self.values.T
+            found[first : first + len(some)] = apart.min(axis=1) + np.square(some).sum(axis=1)
+        return np.asarray(np.sqrt(np.maximum(found, 0.0) / NUM_BONES_COMPARED), dtype=np.float64)
+
+
+def _projected(
+    centred: Float32[np.ndarray, "windows numbers"], components: Float32[np.ndarray, "numbers components"]
+) -> Float32[np.ndarray, "windows values"]:
+    projected = centred @ components
+    rest = np.square(centred).sum(axis=1) - np.square(projected).sum(axis=1)
+    return np.column_stack((projected, np.sqrt(np.maximum(rest, 0.0)))).astype(np.float32)
+
+
+def _slow(positions: Float32[np.ndarray, "_frames 22 3"], fps: Fraction) -> Float64[np.ndarray, "_slow_frames 22 3"]:
+    """Joint positions at 20 fps below 5 Hz; a higher framerate than the motion's plays it faster."""
+    return low_pass(resample_positions(positions, fps, COPIES_FPS).astype(np.float64), float(COPIES_FPS), SMOOTH_HZ)
+
+
+def _bone_windows(
+    positions: Float64[np.ndarray, "frames 22 3"], every: int, tempo: Fraction = Fraction(1)
+) -> Float32[np.ndarray, "windows numbers"]:
+    """Flat windows of bones, one every so many frames of the motion at its own tempo, turned to face Z+."""
+    starts = np.arange(0, (len(positions) - POSES[-1] - 1) * float(tempo) + 1e-6, every) / float(tempo)
+    frames = starts.round().astype(np.int64)[:, None] + POSES
+    bones = positions[:, 1:] - positions[:, PARENTS]
+    # Of the reference body, left and right alike, so that a mirrored copy has the same bones.
+    lengths = np.linalg.norm(SMPL22.offsets, axis=-1)
+    for pair in SMPL22.left_right_pairs:
+        lengths[list(pair)] = lengths[list(pair)].mean()
+    bones *= lengths[1:, None] / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-6)
+    yaw = heading(positions)[frames[:, len(POSES) // 2]]
+    cosine, sine = np.cos(yaw)[:, None, None], np.sin(yaw)[:, None, None]
+    x, y, z = np.moveaxis(bones[frames], -1, 0)
+    turned = np.stack((x * cosine - z * sine, y, x * sine + z * cosine), axis=-1)
+    return turned.reshape(len(frames), 3 * NUM_BONES_COMPARED).astype(np.float32)

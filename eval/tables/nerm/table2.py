@@ -10,8 +10,16 @@ from threadpoolctl import threadpool_limits
 from eval.clip_fid.score import CLIP_FID, VERSION, FeatureSource, feature_sources
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, measure, with_differences
-from eval.sets.copies import HELD_OUT_SHARE, STILL_METRES, TrainingWindows, held_out_limit
-from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, real_motion, training_motion
+from eval.sets.motions import (
+    HELD_OUT_SHARE,
+    STILL_METRES,
+    VARIANT_NOTES,
+    NoRealMotionError,
+    TrainingWindows,
+    held_out_limit,
+    real_motion,
+    training_motion,
+)
 from eval.sets.sets import REAL, Missing, RowId, SampleSet, Variant, set_remarks
 from eval.tables.systems import (
     COLUMNS,

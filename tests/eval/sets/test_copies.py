@@ -6,9 +6,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.sets.copies import TrainingWindows, held_out_limit
 from eval.sets.damage import jitter, upsample_slerp, with_bones_of
-from eval.sets.motions import low_pass
+from eval.sets.motions import TrainingWindows, held_out_limit, low_pass
 from eval.sets.sets import RowId, SampleSet, sample_set
 from eval.tables.nerm.table2 import COPIED, HELD_OUT, copies_block
 from motionkit.core.motion import mirror_positions
