@@ -89,47 +89,31 @@ SPEED_FLOOR = 0.03
 FOOT_SPEED_FLOOR = 0.01
 
 NUM_POSE_COMPONENTS = 10
-SIZES: Mapping[str, int] = {
-    "pose": NUM_POSE_COMPONENTS,
-    "spread": NUM_POSE_COMPONENTS,
-    "slow": 2 * NUM_GROUPS,
-    "upper slow": NUM_GROUPS,
-    "speed": NUM_GROUPS,
-    "slip": 2,
-    "height": 1,
-    "direction": 1 + NUM_GROUPS,
-}
-"""Number of features of each block, in order."""
-NUM_FEATURES = sum(SIZES.values())
-# Weights were chosen on training takes alone (docs/metrics.md): every block's total variance on real training clips.
-WEIGHTS: Mapping[str, float] = {
-    "pose": 1.0,
-    "spread": 1.0,
-    "slow": 5.5,
-    "upper slow": 0.45,
-    "speed": 1.0,
-    "slip": 1.3,
-    "height": 1.0,
-    "direction": 1.0,
-}
 SPREAD_FLOOR_METRES = 0.005
-LEAST_LOG_SPREAD = 0.25
-LEAST_SPREADS: Mapping[str, float] = {"pose": 0.02, "height": 0.02, "direction": 0.1}
-"""Minimum standard deviations for the standardisation: metres, metres per second; `LEAST_LOG_SPREAD` for logarithms."""
+BLOCKS: Mapping[str, tuple[int, float, float]] = {
+    "pose": (NUM_POSE_COMPONENTS, 1.0, 0.02),
+    "spread": (NUM_POSE_COMPONENTS, 1.0, 0.25),
+    "slow": (2 * NUM_GROUPS, 5.5, 0.25),
+    "upper slow": (NUM_GROUPS, 0.45, 0.25),
+    "speed": (NUM_GROUPS, 1.0, 0.25),
+    "slip": (2, 1.3, 0.25),
+    "height": (1, 1.0, 0.02),
+    "direction": (1 + NUM_GROUPS, 1.0, 0.1),
+}
+"""Blocks of features in order: size, weight, and minimum standard deviation (metres, metres per second, logarithms).
+
+Weights are every block's total variance on real training clips, chosen on training takes alone (docs/metrics.md).
+"""
+NUM_FEATURES = sum(size for size, _, _ in BLOCKS.values())
 
 Band = tuple[float, float]
 Signal = Float64[np.ndarray, "_frames _columns"]
 Vectors = Float64[np.ndarray, "*batch axes"]
 
 
-def _group_means() -> Float64[np.ndarray, "coordinates groups"]:
-    weights = np.zeros((NUM_JOINTS, NUM_GROUPS))
-    for column, joints in enumerate(JOINT_GROUPS.values()):
-        weights[list(joints), column] = 1.0 / len(joints)
-    return np.repeat(weights, 3, axis=0)
-
-
-GROUP_MEANS = _group_means()
+GROUP_MEANS = np.repeat(
+    [[(joint in group) / len(group) for group in JOINT_GROUPS.values()] for joint in range(NUM_JOINTS)], 3, axis=0
+)
 """Averages squared coordinates [66] over the joints of each group."""
 
 
@@ -265,13 +249,6 @@ def local_poses(positions: Float64[np.ndarray, "clips poses joints 3"]) -> Float
     return local.reshape(len(positions), -1, 63)
 
 
-def _blocks() -> dict[str, slice]:
-    stops = np.cumsum(list(SIZES.values())).tolist()
-    return {name: slice(stop - size, stop) for (name, size), stop in zip(SIZES.items(), stops, strict=True)}
-
-
-BLOCKS: Mapping[str, slice] = _blocks()
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 RowKey = TypeVar("RowKey", bound=Hashable)
@@ -373,16 +350,13 @@ class FeatureSet(typing.Protocol):
     @property
     def name(self) -> str:
         """Name for tables."""
-        ...
 
     @property
     def fingerprint(self) -> str:
         """Hash of everything that the numbers depend on: definition, weights, statistics."""
-        ...
 
     def describe(self, clips: Float[np.ndarray, "clips poses joints 3"], fps: Fraction) -> Features:
         """One row per clip, in order; positions in metres, y up, the 22 joints of `SMPL22`."""
-        ...
 
 
 class ClipError(MotionkitError):
@@ -497,10 +471,9 @@ def fit_on(train: SampleSet, seed: int = 0) -> KinematicDescriptor:
     fitted = KinematicDescriptor(train.fps, pose_mean, components, np.zeros(NUM_FEATURES), np.ones(NUM_FEATURES))
     sums = Ragged.of(list(map(fitted.sums_of, motions)), np.float64)
     described = fitted.describe(sums, draw_clips(some, Protocol(num_clips=FIT_CLIPS, seed=seed), FIT_REPLICATION, REAL))
-    spread, scale = described.std(axis=0), np.empty(NUM_FEATURES)
-    for name, block in BLOCKS.items():
-        least = LEAST_SPREADS.get(name, LEAST_LOG_SPREAD)
-        scale[block] = np.sqrt(WEIGHTS[name] / SIZES[name]) / np.maximum(spread[block], least)
+    sizes, weights, least = np.array(list(BLOCKS.values())).T
+    weight, least_spread = (np.repeat(each, sizes.astype(int)) for each in (np.sqrt(weights / sizes), least))
+    scale = weight / np.maximum(described.std(axis=0), least_spread)
     training = (train, sums.select(np.argsort(order).tolist())) if len(order) == train.num_sequences else None
     return replace(fitted, centre=described.mean(axis=0), scale=scale, training=training)
 
@@ -563,9 +536,9 @@ class Comparison:
         either side has a single take.
 
         `on_replication` is called after each replication. For rows in `subset_sizes` every replication takes another
-        random subset of that many sequences; their interval is 1.96 standard deviations of single subsets, not of their
-        mean. Raises `ClipError` if clips do not fit or the real set's features are constant, and `ValueError` for
-        different framerates.
+        random subset of up to that many sequences that hold the largest clips; their interval is 1.96 standard
+        deviations of single subsets, not of their mean. Raises `ClipError` if clips do not fit or the real set's
+        features are constant, and `ValueError` for different framerates.
         """
         subsets, real, protocol = subset_sizes or {}, self.real, self.protocol
         describers = {}
@@ -589,7 +562,11 @@ class Comparison:
             reference = _Reference(self._describe_real(clips), replication, protocol)
             scores, described = {}, [(clips, reference.features)]
             for name, samples in rows.items():
-                among = self._subset(samples, subsets[name], replication) if name in subsets else None
+                among = None
+                if name in subsets:
+                    long_enough = np.flatnonzero(samples.sequences.num_frames >= int(protocol.sizes.max()))
+                    rng = np.random.default_rng((protocol.seed, replication, 6))
+                    among = rng.choice(long_enough, size=min(subsets[name], len(long_enough)), replace=False)
                 clips = draw_clips(samples, protocol, replication, OTHER, among)
                 features = describers[name](clips)
                 scores[name] = reference.compare(features)
@@ -641,12 +618,6 @@ class Comparison:
         """The results of each replication, which draws clips of so many sets."""
         replications = self.protocol.replications
         return in_threads(replicate, range(replications), replications * self.protocol.num_clips * num_sets)
-
-    def _subset(self, samples: SampleSet, size: int, replication: int) -> Chosen:
-        """Up to `size` random sequences that are long enough for the largest clips."""
-        long_enough = np.flatnonzero(samples.sequences.num_frames >= int(self.protocol.sizes.max()))
-        rng = np.random.default_rng((self.protocol.seed, replication, 6))
-        return rng.choice(long_enough, size=min(size, len(long_enough)), replace=False)
 
     def _summarised(self, replications: list[dict[str, float]], resampled: Resampled, single_sets: bool) -> Number:
         """The mean; where each replication had its own takes, with the interval of a single one."""
@@ -706,34 +677,26 @@ def feature_sources(names: Sequence[str] | None, guo: "GuoFiles | None", missing
     if guo is None and "guo" in (names or ()):
         raise UsageError("--evaluator guo needs its weights: --weights finest.tar (docs/evaluators.md)")
     sources = [KINEMATIC] if names is None or "kinematic" in names else []
-    if guo is not None and (names is None or "guo" in names):
-        with missing.skipping("features 'guo'", (MotionkitError,) if sources else ()):
-            sources.append(guo_source(guo))
-    return sources
-
-
-def guo_source(files: "GuoFiles") -> FeatureSource:
-    """A published evaluator at its own framerate. Raises `MotionkitError` if its files are invalid."""
+    if guo is None or (names is not None and "guo" not in names):
+        return sources
     from eval.text_motion.guo import load_guo
 
-    evaluator = load_guo(files)
+    with missing.skipping("features 'guo'", (MotionkitError,) if sources else ()):
+        evaluator = load_guo(guo)
 
-    def at_its_framerate(train: SampleSet) -> FeatureSet:
-        evaluator.check_fps(train.fps, train.name)
-        return evaluator
+        def at_its_framerate(train: SampleSet) -> FeatureSet:
+            evaluator.check_fps(train.fps, train.name)
+            return evaluator
 
-    return FeatureSource(
-        name="guo",
-        title=f"clip-FID on the {evaluator.name} evaluator of {evaluator.kind.dataset}",
-        fit=at_its_framerate,
-        note=(
+        title = f"clip-FID on the {evaluator.name} evaluator of {evaluator.kind.dataset}"
+        note = (
             f"At {float(evaluator.fps):g} fps alone, at most {GUO_REPLICATIONS} replications. This evaluator was "
             "trained to match motions with sentences: it scores upsampled and smoothed motion much like clean motion. "
             "Clips of m poses are m − 1 frames of pose vectors. These are not the FIDs of whole motions that papers "
             "print."
-        ),
-        max_replications=GUO_REPLICATIONS,
-    )
+        )
+        sources.append(FeatureSource("guo", title, at_its_framerate, note, GUO_REPLICATIONS))
+    return sources
 
 
 def clip_fid(
@@ -773,15 +736,8 @@ def clip_fid(
     return comparison.scores({"generated": sets["generated"]})["generated"]
 
 
-CLIP_FID = Metric(
-    "clip_fid",
-    "clip-FID",
-    "",
-    False,
-    f"NeRM §4.2, as {VERSION}",
-    clip_fid,
-    calibration="motionkit eval --calibrate",
-)
+SOURCE, CALIBRATION = f"NeRM §4.2, as {VERSION}", "motionkit eval --calibrate"
+CLIP_FID = Metric("clip_fid", "clip-FID", "", False, SOURCE, clip_fid, calibration=CALIBRATION)
 
 
 def samples_at_one_framerate(sets: Mapping[str, Motions], fps: Framerate | None) -> dict[str, SampleSet]:
