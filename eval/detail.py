@@ -166,37 +166,30 @@ def _channels(positions: Float32[np.ndarray, "frames joints 3"], fps: Fraction) 
     log_speed, group_means = np.log(speed + SPEED_FLOOR), GROUP_MEANS[::3]
     slow_power = np.log(envelopes(SLOW_BANDS[:2]) + noise_power(SLOW_BANDS[:2], SLOW_NOISE_METRES)[:, None])
     fast = envelopes(bands)
-    timed = np.log(fast + noise_power(bands, TIMING_NOISE_METRES)[:, None])[:, :num_timed]
+    timed = np.log(fast + noise_power(bands, TIMING_NOISE_METRES)[:, None])[:, :num_timed].reshape(num, -1)
     steady = (slow_power.reshape(num, -1), log_speed @ group_means, (speed / (speed + FAST_SPEED)) @ group_means)
     sudden = (
         log_speed[:, FOOT_JOINTS],
         np.arctan(velocity[:, FOOT_JOINTS, 1] / VELOCITY_SCALE),
         np.arctan(acceleration[:, SUDDEN_JOINTS, 1] / ACCELERATION_SCALE),
-        _near_the_floor(slow, velocity, acceleration),
+        *_near_the_floor(slow[:, FOOT_JOINTS, 1], velocity[:, FOOT_JOINTS], acceleration[:, FOOT_JOINTS, 1]),
         np.log(lengths_of(acceleration) + ACCELERATION_FLOOR) @ group_means,
         np.log(jerk + JERK_FLOOR) @ group_means,
     )
     return _Channels(
         steady=_lagged(np.concatenate(steady, axis=1), rate),
         sudden=_lagged(np.concatenate(sudden, axis=1), rate),
-        timed=_deviation(timed.reshape(num, -1), rate),
+        timed=timed - smoothed(timed, LOCAL_SECONDS, rate),
         log_power=np.log(fast + noise_power(bands, ENERGY_NOISE_METRES)[:, None]).mean(axis=2),
         bones_mm=_bones_mm(positions, rate),
     )
 
 
-def _near_the_floor(
-    slow: Float64[np.ndarray, "frames joints 3"],
-    velocity: Float64[np.ndarray, "frames joints 3"],
-    acceleration: Float64[np.ndarray, "frames joints 3"],
-) -> Float64[np.ndarray, "frames impacts"]:
+def _near_the_floor(heights: Signal, velocity: Float64[np.ndarray, "frames feet 3"], lift: Signal) -> list[Signal]:
     """Falling, braking and moving of each foot joint, faded out within some centimetres above its own floor."""
-    feet = slow[:, FOOT_JOINTS, 1]
-    near = np.exp(-np.maximum(feet - np.percentile(feet, 5, axis=0), 0.0) / NEAR_METRES)
-    falling = np.log1p(np.maximum(-velocity[:, FOOT_JOINTS, 1], 0.0) / FALLING_SPEED)
-    braking = np.log1p(np.maximum(acceleration[:, FOOT_JOINTS, 1], 0.0) / BRAKING_ACCELERATION)
-    moving = np.log1p(lengths_of(velocity[:, FOOT_JOINTS]) / FALLING_SPEED)
-    return np.concatenate((near * falling, near * braking, near * moving), axis=1)
+    near = np.exp(-np.maximum(heights - np.percentile(heights, 5, axis=0), 0.0) / NEAR_METRES)
+    falling, braking = np.maximum(-velocity[..., 1], 0.0) / FALLING_SPEED, np.maximum(lift, 0.0) / BRAKING_ACCELERATION
+    return [near * np.log1p(each) for each in (falling, braking, lengths_of(velocity) / FALLING_SPEED)]
 
 
 def _bones_mm(positions: Float32[np.ndarray, "frames joints 3"], rate: float) -> float:
@@ -216,15 +209,10 @@ def smoothed(values: Signal, seconds: float, rate: float) -> Signal:
     return mean
 
 
-def _deviation(values: Signal, rate: float) -> Signal:
-    deviation: Signal = values - smoothed(values, LOCAL_SECONDS, rate)
-    return deviation
-
-
 def _lagged(values: Signal, rate: float) -> Signal:
     """Deviations from the local mean, now, 40 ms later and 40 ms earlier, side by side."""
     lag = max(1, round(LAG_SECONDS * rate))
-    deviation = _deviation(values, rate)
+    deviation = values - smoothed(values, LOCAL_SECONDS, rate)
     padded = np.pad(deviation, ((lag, lag), (0, 0)), mode="edge")
     return np.concatenate((deviation, padded[2 * lag :], padded[: -2 * lag]), axis=1)
 
@@ -321,25 +309,16 @@ class RealDetail:
         value = _relative(
             figures.averages(np.ones((1, samples.num_sequences))), real.averages(np.ones((1, self.real.num_sequences)))
         )[0]
-        weights, real_weights = self._weights(samples), self._weights(self.real)
+        # How often each motion is drawn in every resampling: paired between the sets by the takes' names.
+        units = [units_of(each.take_names, each.generations) for each in (samples, self.real)]
+        weights, real_weights = (each.weights(self.resampling)[:, each.unit] for each in units)
         drawn = weights.any(axis=1) & real_weights.any(axis=1)
         draws = _relative(figures.averages(weights[drawn]), real.averages(real_weights[drawn]))
         intervals = np.nanpercentile(draws, (2.5, 97.5), axis=0)
-        timing, *energy, rigidity = (
-            Figure(
-                float(value[index]),
-                (float(intervals[0, index]), float(intervals[1, index])),
-                None if self.ranges is None else (float(self.ranges[0, index]), float(self.ranges[1, index])),
-            )
-            for index in range(len(value))
-        )
+        ranges = [None] * len(value) if self.ranges is None else list(zip(*self.ranges.tolist(), strict=True))
+        timing, *energy, rigidity = map(Figure, value.tolist(), zip(*intervals.tolist(), strict=True), ranges)
         by_band = dict(zip(bands_at(samples.fps), energy, strict=True))
         return DetailProfile(samples.fps, timing, by_band, rigidity)
-
-    def _weights(self, samples: SampleSet) -> Float64[np.ndarray, "draws motions"]:
-        """How often each motion is drawn in every resampling of the takes: paired between sets by the takes' names."""
-        units = units_of(samples.take_names, samples.generations)
-        return units.weights(self.resampling)[:, units.unit]
 
 
 def _relative(
@@ -371,7 +350,7 @@ def detail_profile(
     Motions are `Motion`s, brought to the 22 joints, or arrays [T, 22, 3] in metres, y up, at `fps`. The predictor of
     timing is fitted on `train`, by default on the real motions; tables fit it on the training split.
 
-    Raises `UsageError` for motions of several framerates or below 40 fps, `ClipError` for frozen real motions, and
+    Raises `UsageError` for several framerates or below 40 fps, `ClipError` for frozen real motions, and
     `MotionkitError` for a skeleton that cannot be brought to the 22 joints.
 
     >>> walks = [np.random.default_rng(n).normal(size=(240, 22, 3)).cumsum(axis=0) / 100 for n in range(6)]

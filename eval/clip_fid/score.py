@@ -5,12 +5,10 @@ resampling either; m, the number of clips, the extractor and the real set at a t
 and `VERSION` is raised whenever one of them changes. Not the FID of images on CLIP features that other tools call
 clip-FID.
 
-The kinematic descriptor, version 3, describes what bodies do below 8 Hz, by its distribution: poses and their spread,
-power in three slow bands, speeds, sliding feet, height above the floor, and the direction of time. Nothing above 8 Hz:
-a sum that sees fast motion is won by adding noise, and one that does not see it is blind. So fast motion has figures of
-its own (`eval.detail`; docs/results/games.md). Powers are those of acceleration. Floors under their logarithms
-correspond to white noise of a fixed amplitude in the positions, so a floor means the same at every framerate, and power
-below it counts for little.
+The kinematic descriptor describes what bodies do below 8 Hz, by its distribution: poses and their spread, power in
+three slow bands, speeds, sliding feet, height above the floor, and the direction of time. A sum that sees faster motion
+is won by adding noise, so that has figures of its own (`eval.detail`; docs/results/games.md). Powers are those of
+acceleration. Floors under their logarithms are white noise of a fixed amplitude in the positions, at every framerate.
 """
 
 import hashlib
@@ -45,7 +43,7 @@ from eval.metrics.number import (
 from eval.sets.sets import Missing, Ragged, SampleSet, sample_set
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float, Float32, Float64, Int64
+from motionkit.core.shapes import Float, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import Framerate, parse_fps
@@ -123,8 +121,7 @@ def noise_power(bands: tuple[Band, ...], metres: float) -> Float64[np.ndarray, "
     It is that of one coordinate. Its density is metres² / 60 per Hz, of which acceleration has (2π f)⁴ times as much.
     """
     low, high = np.array(bands, dtype=np.float64).reshape(-1, 2).T
-    power: Float64[np.ndarray, bands] = metres**2 / (NOISE_FPS / 2) * (2 * np.pi) ** 4 * (high**5 - low**5) / 5
-    return power
+    return np.asarray(metres**2 / (NOISE_FPS / 2) * (2 * np.pi) ** 4 * (high**5 - low**5) / 5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,8 +147,7 @@ class Spectrum:
 
     def below(self, cutoff_hz: float) -> Signal:
         """Zero-phase low-pass."""
-        signal: Signal = self._inverse(self._low_gain(cutoff_hz)) + self._own(self.trend)
-        return signal
+        return np.asarray(self._inverse(self._low_gain(cutoff_hz)) + self._own(self.trend), dtype=np.float64)
 
     def power(self, band: Band) -> Float64[np.ndarray, "_frames groups"]:
         """Squared second difference per second squared, of one band alone, averaged over the joints of each group."""
@@ -164,8 +160,7 @@ class Spectrum:
         """Squared Butterworth gain: a filter forwards and backwards; 0 for a cut-off of 0."""
         if cutoff_hz == 0:
             return np.zeros_like(self.frequencies_hz)
-        gain: npt.NDArray[np.float64] = 1.0 / (1.0 + (self.frequencies_hz / cutoff_hz) ** (2 * FILTER_ORDER))
-        return gain
+        return np.asarray(1.0 / (1.0 + (self.frequencies_hz / cutoff_hz) ** (2 * FILTER_ORDER)))
 
     def _inverse(self, gain: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
         filtered = self.values * gain.astype(np.float32)[:, None]
@@ -177,10 +172,7 @@ class Spectrum:
 
 def rate_of_change(values: npt.NDArray[np.float64], rate: float) -> npt.NDArray[np.float64]:
     """Central differences per second, one-sided at the ends; 0 for a single frame."""
-    if len(values) < 2:
-        return np.zeros_like(values)
-    change: npt.NDArray[np.float64] = np.gradient(values, axis=0) * rate
-    return change
+    return np.gradient(values, axis=0) * rate if len(values) > 1 else np.zeros_like(values)
 
 
 def lengths_of(vectors: Vectors) -> Float64[np.ndarray, "*batch"]:
@@ -309,10 +301,12 @@ class KinematicDescriptor:
         if self.training is not None and samples is self.training[0]:
             return self.training[1]
 
-        def sums(positions: Float32[np.ndarray, "frames 22 3"]) -> Signal:
-            return self.sums_of(channels(positions, self.fps))
-
-        return Ragged.of(list(in_threads(sums, samples.sequences, len(samples.sequences.values))), np.float64)
+        own = in_threads(
+            lambda positions: self.sums_of(channels(positions, self.fps)),
+            samples.sequences,
+            len(samples.sequences.values),
+        )
+        return Ragged.of(list(own), np.float64)
 
     def sums_of(self, motion: Channels) -> Float64[np.ndarray, "frames numbers"]:
         """The running sums of one motion."""
@@ -656,13 +650,11 @@ class FeatureSource:
 
 
 KINEMATIC = FeatureSource(
-    name="kinematic",
-    title=f"clip-FID on the kinematic descriptor ({KINEMATIC_VERSION})",
-    fit=fit_on,
-    note=(
-        "What bodies do below 8 Hz; finer motion is in the detail profile. 1 is the variance of a block of features on "
-        "real training clips."
-    ),
+    "kinematic",
+    f"clip-FID on the kinematic descriptor ({KINEMATIC_VERSION})",
+    fit_on,
+    "What bodies do below 8 Hz; finer motion is in the detail profile. 1 is the variance of a block of features on "
+    "real training clips.",
 )
 
 
@@ -715,11 +707,9 @@ def clip_fid(
     draws `clips` clips of 16 to 64 poses from either set. The kinematic descriptor is fitted on `train`, by default on
     the real motions; tables fit it on the training split and compare with the test split (docs/evaluators.md).
 
-    Lower is better, and 0 is not reached but by one motion beside itself: the floor is what other real motions score.
-    Scores compare only with the same real motions, framerate and number of clips.
-
-    Raises `UsageError` for motions of several framerates or of another one than `fps`, `ClipError` where no motion is
-    long enough for a clip, `MotionkitError` for a skeleton that cannot be brought to the 22 joints.
+    Lower is better; the floor is what other real motions score. Scores compare only with the same real motions,
+    framerate and number of clips. Raises `UsageError` for several framerates, `ClipError` where no motion is long
+    enough for a clip, `MotionkitError` for a skeleton that cannot be brought to the 22 joints.
 
     >>> store = mk.Store.open("store")
     >>> real = [motion.resample(30) for motion in store.read_many(store)]

@@ -166,19 +166,10 @@ FAMILIES = (
 def turn(
     positions: Float[np.ndarray, "*batch frames joints 3"], yaw_radians: float
 ) -> Float[np.ndarray, "*batch frames joints 3"]:
-    """Rotate motion about the vertical axis through the origin; evaluators must be invariant to it."""
+    """Rotate motion about the vertical axis through the origin."""
     sine, cosine = np.sin(yaw_radians), np.cos(yaw_radians)
     x, y, z = np.moveaxis(positions.astype(np.float64), -1, 0)
     return np.stack((cosine * x + sine * z, y, cosine * z - sine * x), -1).astype(positions.dtype)
-
-
-def translate(
-    positions: Float[np.ndarray, "*batch frames joints 3"], offset: Float64[np.ndarray, "*batch 2"]
-) -> Float[np.ndarray, "*batch frames joints 3"]:
-    """Move motion by a horizontal (x, z) offset in metres; evaluators must be invariant to it."""
-    moved = positions.astype(np.float64)
-    moved[..., (0, 2)] += offset[..., None, None, :]
-    return moved.astype(positions.dtype)
 
 
 def shift_by_half_a_frame(take: Take) -> Take:

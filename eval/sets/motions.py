@@ -149,9 +149,7 @@ def windows_of(real: SampleSet, max_duration_seconds: float) -> list[Window]:
     for index in range(real.num_sequences):
         duration = float((int(real.sequences.num_frames[index]) - 1) / real.fps)
         count = max(1, ceil(duration / max_duration_seconds - 1e-9))
-        text = real.captions[index] if real.captions else ""
-        action = real.actions[index] if real.actions else ""
-        request = GenerationRequest(duration / count, text, action)
+        request = GenerationRequest(duration / count, real.captions[index], real.actions[index])
         windows.extend(Window(real.sequence_ids[index], number, request) for number in range(count))
     return windows
 
@@ -242,17 +240,17 @@ def sample_fields(
     if not chosen:
         return None
     windows = [window for window, _ in chosen]
-    made = sample_set(
+    draws = tuple(window.draw for window in windows)
+    return SampleSet(
         name,
         fps,
-        [to_motion(field, fps).joint_positions for _, field in chosen],
-        [f"{window.sequence_id}#{window.number}" + (f"@{window.draw}" if window.draw else "") for window in windows],
-        [window.request.text for window in windows],
-        [window.request.action for window in windows],
+        Ragged.of([to_motion(field, fps).joint_positions for _, field in chosen]),
+        tuple(f"{each.sequence_id}#{each.number}" + (f"@{each.draw}" if each.draw else "") for each in windows),
+        captions=tuple(window.request.text for window in windows),
+        actions=tuple(window.request.action for window in windows),
+        takes=tuple(window.sequence_id for window in windows),
+        generations=draws if any(draws) else (),
     )
-    draws = tuple(window.draw for window in windows)
-    takes = tuple(window.sequence_id for window in windows)
-    return replace(made, takes=takes, generations=draws if any(draws) else ())
 
 
 VARIANT_NOTES = {
@@ -348,9 +346,6 @@ def upsample_as_vectors(samples: SampleSet, fps: Fraction, name: str) -> SampleS
     return samples.with_positions(name, fps, sequences)
 
 
-LOW_PASS_ORDER = 4
-
-
 def low_pass(
     positions: Float[np.ndarray, "*batch frames joints 3"], fps: float, cutoff_hz: float | Float64[np.ndarray, "*batch"]
 ) -> Float[np.ndarray, "*batch frames joints 3"]:
@@ -359,7 +354,7 @@ def low_pass(
     The gain 1 / (1 + (f / cut-off)^8) is that of a Butterworth filter of order 4 run forwards and backwards.
     """
     cutoff = np.asarray(cutoff_hz, dtype=np.float64)[..., None]
-    return filtered(positions, lambda f: 1.0 / (1.0 + (f * fps / cutoff) ** (2 * LOW_PASS_ORDER)))
+    return filtered(positions, lambda f: 1.0 / (1.0 + (f * fps / cutoff) ** 8))
 
 
 def filtered(
@@ -387,8 +382,7 @@ def filtered(
     spectrum = scipy.fft.rfft(padded - line, axis=-3)
     spectrum *= gain(scipy.fft.rfftfreq(length))[..., None, None]
     smooth = scipy.fft.irfft(spectrum, n=length, axis=-3) + line + delay * slope
-    own: Float[np.ndarray, "*batch frames joints 3"] = smooth[..., num_frames - 1 : 2 * num_frames - 1, :, :]
-    return own.astype(positions.dtype)
+    return np.asarray(smooth[..., num_frames - 1 : 2 * num_frames - 1, :, :], dtype=positions.dtype)
 
 
 COPIES_FPS = Fraction(20)

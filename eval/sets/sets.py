@@ -92,9 +92,6 @@ class SampleSet:
         for name in ABOUT_EACH:
             if len(values := getattr(self, name)) != len(self.sequences) and (values or name == "sequence_ids"):
                 raise ValueError(f"{len(values)} {name} for {len(self.sequences)} sequences")
-        rows = len(self.sequences.values)
-        if self.local_rotations is not None and len(self.local_rotations) != rows:
-            raise ValueError(f"{len(self.local_rotations)} rows of rotations for {rows} of positions")
         if not np.isfinite(self.sequences.values).all():
             bad = next(index for index, each in enumerate(self.sequences) if not np.isfinite(each).all())
             raise ValueError(f"sample set {self.name!r}: sequence {self.sequence_ids[bad]!r} holds NaN or infinity")
@@ -150,11 +147,9 @@ def sample_set(
     sequence_ids: Sequence[str],
     captions: Sequence[str] = (),
     actions: Sequence[str] = (),
-    groups: Sequence[str] = (),
 ) -> SampleSet:
     """Concatenate sequences into a set. Raises `ValueError` for none, or for NaN."""
-    about = tuple(sequence_ids), tuple(captions), tuple(actions)
-    return SampleSet(name, fps, Ragged.of(sequences), *about, groups=tuple(groups))
+    return SampleSet(name, fps, Ragged.of(sequences), tuple(sequence_ids), tuple(captions), tuple(actions))
 
 
 class Variant(Enum):

@@ -14,7 +14,7 @@ from eval.clip_fid.score import CLIP_FID, Comparison, feature_sources
 from eval.detail import LEAST_FPS, DetailProfile, RealDetail
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, measure
-from eval.sets.damage import FAMILIES, NUM_GAMES, Family, games, shift_by_half_a_frame, translate, turn
+from eval.sets.damage import FAMILIES, NUM_GAMES, Family, games, shift_by_half_a_frame, turn
 from eval.sets.motions import real_motion
 from eval.sets.sets import SampleSet
 from eval.tables.systems import COLUMNS, label
@@ -161,10 +161,10 @@ def _harmless(real: SampleSet, seed: int) -> dict[str, SampleSet]:
     rng = np.random.default_rng((seed, 6))
     takes = list(real.sequences)
     yaws = rng.uniform(0, 2 * np.pi, len(takes)).tolist()
-    offsets = rng.uniform(-5.0, 5.0, (len(takes), 2))
+    offsets = rng.uniform(-5.0, 5.0, (len(takes), 2)) @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     harmless = {
         "yaw": map(turn, takes, yaws),
-        "translation": map(translate, takes, offsets),
+        "translation": ((take + offset).astype(np.float32) for take, offset in zip(takes, offsets, strict=True)),
         MIRRORED: (mirror_positions(take, SMPL22.left_right_pairs) for take in takes),
         "sinc interpolation by half a frame": map(shift_by_half_a_frame, takes),
     }
