@@ -3,10 +3,10 @@
 Encoder: Conv k3, then twice (Conv k4 stride 2, ResNet-1D with dilations 9, 3, 1), Conv k3: four-fold downsampling in
 time. The decoder mirrors it with nearest upsampling. ReLU, no norm. Codes are moving averages of what they encode.
 
-It is trained on the store at 20 fps. Its pose vectors have 6·J + 1 numbers, 133
-for 22 joints: yaw rate (rad/s), root velocity to the body's left and front (m/s), root height (m), joints 1 … J − 1
-relative to the root's ground point and facing Z+ (m, HumanML3D's "RIC" block), velocities of all joints in the same
-axes (m/s). The published vector's rotations and contacts are left out: both are functions of positions.
+It is trained on the store at 20 fps. Its pose vectors have 6·J + 1 numbers, 133 for 22 joints: yaw rate (rad/s), root
+velocity to the body's left and front (m/s), root height (m), joints 1 … J − 1 relative to the root's ground point and
+facing Z+ (m, HumanML3D's "RIC" block), velocities of all joints in the same axes (m/s). The published vector's
+rotations and contacts are left out: both are functions of positions.
 """
 
 import dataclasses
@@ -14,6 +14,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -27,10 +28,13 @@ from motionkit.features import field
 from motionkit.store.cache import PositionCache, open_cache
 from motionkit.training.loop import (
     ALONE,
+    CheckpointError,
     Learner,
     Ranks,
     autocast,
+    foreign_tensors,
     prefixed,
+    read_foreign,
     resolve_device,
     run_training,
     save_tensors,
@@ -43,6 +47,7 @@ from nerm.recipes import CodebookConfig, CodebookNetworkConfig, NermConfig
 FPS = 20
 EMA_DECAY, SMALLEST_COUNT = 0.99, 1.0
 POSITION_WEIGHT, COMMITMENT_WEIGHT = 0.5, 0.02
+PUBLISHED_CODES = "vqvae.quantizer.codebook"
 
 
 class ResidualConvolution(nn.Module):
@@ -296,11 +301,26 @@ class CodebookTraining:
         }
 
 
+def load_published(path: Path) -> Float32[Tensor, "codes dimension"]:
+    """The codes of T2M-GPT's own checkpoint (`net_last.pth`); raises `CheckpointError` for any other file."""
+    codes = foreign_tensors(read_foreign(path), "net", path, "T2M-GPT's VQ-VAE").get(PUBLISHED_CODES)
+    if codes is None or codes.dim() != 2 or not bool(torch.isfinite(codes).all()):
+        raise CheckpointError(f"{path}: net/{PUBLISHED_CODES} is no codebook of finite numbers")
+    return codes.float()
+
+
 def train_codebook(context: StageContext, config: NermConfig) -> None:
-    """Train the VQ-VAE; write codes [N, d] and network to model.safetensors."""
+    """Train the VQ-VAE, or take T2M-GPT's own codes; write codes [N, d] and network to model.safetensors."""
     store, device, ranks = context.open_store(), resolve_device(context.device), context.ranks
     settings = with_precision_of(config.codebook, device)
     config = dataclasses.replace(config, codebook=settings)
+    if settings.published_weights:
+        codes = load_published(Path(settings.published_weights))
+        folder = context.begin("codebook", config, store_fingerprint=store.fingerprint)
+        if ranks.is_first:
+            save_tensors(folder.model_path, {"codes": codes}, {"fps": FPS})
+            folder.finish({"codes": len(codes), "from": settings.published_weights})
+        return
     started = time.perf_counter()
     source = open_cache(store, layout="smpl22", where=settings.where or None)
     sequence_lengths(source, settings)
@@ -317,6 +337,9 @@ def train_codebook(context: StageContext, config: NermConfig) -> None:
 
 
 def check_codebook(context: StageContext, config: NermConfig) -> None:
-    """Raise early what would stop this stage: no sequence that is long enough."""
-    where = config.codebook.where or None
-    sequence_lengths(open_cache(context.open_store(), layout="smpl22", where=where), config.codebook)
+    """Raise early what would stop this stage: no sequence that is long enough, published weights of another kind."""
+    settings = config.codebook
+    if settings.published_weights:
+        load_published(Path(settings.published_weights))
+    else:
+        sequence_lengths(open_cache(context.open_store(), layout="smpl22", where=settings.where or None), settings)

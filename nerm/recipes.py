@@ -38,7 +38,10 @@ class CodebookNetworkConfig:
 
 @dataclass(frozen=True)
 class CodebookConfig:
-    """The VQ-VAE whose codes enrich the coordinates: T2M-GPT's (Zhang et al. 2023a; appendix B.1)."""
+    """The VQ-VAE whose codes enrich the coordinates: T2M-GPT's (Zhang et al. 2023a; appendix B.1).
+
+    `published_weights` is T2M-GPT's own checkpoint, whose codes are used instead of training.
+    """
 
     where: str = "split = 'train'"
     window_frames: int = 64
@@ -47,6 +50,7 @@ class CodebookConfig:
     schedule: Schedule = Schedule(
         steps=300_000, batch_size=256, learning_rate=2e-4, kind="steps", drop=0.05, drop_every=2 / 3
     )
+    published_weights: str = ""
     precision: Precision = "float32"
 
     def __post_init__(self) -> None:
@@ -374,7 +378,7 @@ LAYERS = "NeRM, published layers, other training"
 OTHERWISE = "NeRM, global latent (our settings)"
 
 # The paper leaves open the data; NeRM-fixed is in the paper.
-_OPEN = ("where", "pose_vectors", "windows.", "clips.fixed_fps", "conditions.")
+_OPEN = ("where", "pose_vectors", "windows.", "clips.fixed_fps", "conditions.", "published_weights")
 _TRAINING = {"schedule.steps", "schedule.epochs", "schedule.batch_size", "precision"}
 
 
@@ -393,7 +397,7 @@ def row_name(run: RunFolder, field: FieldConfig, denoiser: DenoiserConfig | None
     if "codebook" not in recorded or encoder not in ("clip", "none"):
         return LAYERS
     codebook = from_plain(CodebookConfig, recorded["codebook"]["config"]["codebook"])
-    different |= _differences(codebook, CodebookConfig())
+    different |= set() if codebook.published_weights else _differences(codebook, CodebookConfig())
     has_budget = any(recorded[name].get("budget_seconds") is not None for name in recorded.keys() - {"codebook"})
     return LAYERS if different or has_budget else PUBLISHED
 

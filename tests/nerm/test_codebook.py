@@ -1,20 +1,28 @@
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
-from motionkit.training.loop import step_generator
+from motionkit.store.writer import StoreWriter
+from motionkit.training.config import apply_overrides
+from motionkit.training.loop import CheckpointError, load_tensors, step_generator
+from motionkit.training.run import RunFolder, StageContext
 from nerm.codebook import (
     CodebookNetwork,
     CodebookTraining,
     Quantiser,
     codebook_vectors,
+    load_published,
+    train_codebook,
     vector_corpus,
 )
-from nerm.recipes import CodebookConfig, paper
+from nerm.recipes import CodebookConfig, nano, paper
+from tests.helpers.analytic import analytic_motion
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source
 from tests.nerm.small_fields import changed
 
@@ -95,3 +103,23 @@ def test_the_loss_falls_and_many_codes_are_used() -> None:
     losses = [float(each["reconstruction"].detach()) for each in figures]
     assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:5])
     assert float(figures[-1]["perplexity"]) > 8
+
+
+CODES, ANY_CODES = "vqvae.quantizer.codebook", torch.randn(24, 8, generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize("checkpoint", [{"net": {CODES: torch.full((24, 8), torch.nan)}}, {"net": Path("a program")}])
+def test_what_is_not_t2m_gpt_s_codebook_is_refused(tmp_path: Path, checkpoint: object) -> None:
+    torch.save(checkpoint, tmp_path / "net_last.pth")
+    with pytest.raises(CheckpointError):
+        load_published(tmp_path / "net_last.pth")
+
+
+def test_t2m_gpt_s_codes_are_used_in_place_of_training(tmp_path: Path) -> None:
+    with StoreWriter.create(tmp_path / "store") as writer:
+        writer.add(replace(to_motion(analytic_motion("walk", 2.0), Fraction(20)), sequence_id="m", split="train"))
+    torch.save({"net": {CODES: ANY_CODES, "vqvae.encoder.model.0.bias": torch.zeros(3)}}, tmp_path / "net_last.pth")
+    config = apply_overrides(nano(), [f"codebook.published_weights={tmp_path / 'net_last.pth'!s}"])
+    train_codebook(StageContext(store=tmp_path / "store", run=RunFolder(tmp_path / "run"), recipe="nano"), config)
+    tensors, _ = load_tensors(RunFolder(tmp_path / "run").stage("codebook").model_path)
+    assert torch.equal(tensors["codes"], ANY_CODES)

@@ -15,6 +15,7 @@ from nerm.recipes import LAYERS, LOCAL, OTHERWISE, PUBLISHED, RECIPES, row_name
     [
         ("nano", "", LOCAL),
         ("paper", "", PUBLISHED),
+        ("paper", "codebook.published_weights=t2m-gpt.pth", PUBLISHED),
         ("paper", "field.clips.fixed_fps=20", PUBLISHED),
         ("paper", "denoiser.conditions.text_encoder=none", PUBLISHED),
         ("paper", "denoiser.conditions.text_encoder=minilm", LAYERS),
