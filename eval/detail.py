@@ -81,7 +81,7 @@ class MotionFigures:
     """What averages over motions need, a row for each motion of a set.
 
     `timing` are Σ power · prediction and Σ prediction² over frames, `log_power` sums over frames of the mean over joint
-    groups, `bones_mm` the rigidity of each motion.
+    groups.
     """
 
     num_frames: Float64[np.ndarray, "motions"]
@@ -136,7 +136,8 @@ class _Channels:
     """One motion's numbers for a profile: predictors of timing, and what they predict, without their local means.
 
     `steady` are slow power and speeds of joint groups, `sudden` vertical motion of feet, root and hands, feet near the
-    floor, accelerations and jerks; `timed` is log power in the timed bands.
+    floor, accelerations and jerks; `timed` is log power in the timed bands; `bones_mm` is the root mean square over
+    frames and bones of bone lengths above 8 Hz.
     """
 
     steady: Float64[np.ndarray, "frames steady"]
@@ -176,12 +177,13 @@ def _channels(positions: Float32[np.ndarray, "frames joints 3"], fps: Fraction) 
         np.log(lengths_of(acceleration) + ACCELERATION_FLOOR) @ group_means,
         np.log(jerk + JERK_FLOOR) @ group_means,
     )
+    bones = lengths_of(positions[:, 1:].astype(np.float64) - positions[:, PARENTS])
     return _Channels(
         steady=_lagged(np.concatenate(steady, axis=1), rate),
         sudden=_lagged(np.concatenate(sudden, axis=1), rate),
         timed=timed - smoothed(timed, LOCAL_SECONDS, rate),
         log_power=np.log(fast + noise_power(bands, ENERGY_NOISE_METRES)[:, None]).mean(axis=2),
-        bones_mm=_bones_mm(positions, rate),
+        bones_mm=1000.0 * float(np.sqrt(np.mean(np.square(bones - Spectrum.of(bones, rate).below(BONES_ABOVE_HZ))))),
     )
 
 
@@ -190,13 +192,6 @@ def _near_the_floor(heights: Signal, velocity: Float64[np.ndarray, "frames feet 
     near = np.exp(-np.maximum(heights - np.percentile(heights, 5, axis=0), 0.0) / NEAR_METRES)
     falling, braking = np.maximum(-velocity[..., 1], 0.0) / FALLING_SPEED, np.maximum(lift, 0.0) / BRAKING_ACCELERATION
     return [near * np.log1p(each) for each in (falling, braking, lengths_of(velocity) / FALLING_SPEED)]
-
-
-def _bones_mm(positions: Float32[np.ndarray, "frames joints 3"], rate: float) -> float:
-    """Root mean square over frames and bones of bone lengths above 8 Hz, in mm."""
-    lengths = lengths_of(positions[:, 1:].astype(np.float64) - positions[:, PARENTS])
-    fast = lengths - Spectrum.of(lengths, rate).below(BONES_ABOVE_HZ)
-    return 1000.0 * float(np.sqrt(np.mean(np.square(fast))))
 
 
 def smoothed(values: Signal, seconds: float, rate: float) -> Signal:

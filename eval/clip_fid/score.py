@@ -300,12 +300,8 @@ class KinematicDescriptor:
             raise ValueError(f"this descriptor was fitted at {self.fps} fps; {samples.name} is at {samples.fps} fps")
         if self.training is not None and samples is self.training[0]:
             return self.training[1]
-
-        own = in_threads(
-            lambda positions: self.sums_of(channels(positions, self.fps)),
-            samples.sequences,
-            len(samples.sequences.values),
-        )
+        num_rows = len(samples.sequences.values)
+        own = in_threads(lambda each: self.sums_of(channels(each, self.fps)), samples.sequences, num_rows)
         return Ragged.of(list(own), np.float64)
 
     def sums_of(self, motion: Channels) -> Float64[np.ndarray, "frames numbers"]:
@@ -432,15 +428,12 @@ def describer(samples: SampleSet, features: KinematicDescriptor | FeatureSet) ->
 
     def describe(clips: Clips) -> Features:
         """In batches of one size."""
-        order = np.argsort(clips.num_poses, kind="stable")
-        sizes, starts = np.unique(clips.num_poses[order], return_index=True)
-        batches = [
-            features.describe(samples.sequences.clips(clips.first_row[rows], int(size)), samples.fps)
-            for size, rows in zip(sizes, np.split(order, starts[1:]), strict=True)
+        batches = {int(size): np.flatnonzero(clips.num_poses == size) for size in np.unique(clips.num_poses)}
+        described = [
+            features.describe(samples.sequences.clips(clips.first_row[rows], size), samples.fps)
+            for size, rows in batches.items()
         ]
-        result = np.empty((len(order), batches[0].shape[1]))
-        result[order] = np.concatenate(batches)
-        return result
+        return np.concatenate(described)[np.argsort(np.concatenate(list(batches.values())))].astype(np.float64)
 
     return describe
 
@@ -569,7 +562,8 @@ class Comparison:
             return scores, described
 
         replications: dict[RowKey, list[dict[str, float]]] = {name: [] for name in rows}
-        for scores, described in self._replicated(replicate, 1 + len(rows)):
+        num_clips = protocol.replications * protocol.num_clips
+        for scores, described in in_threads(replicate, range(protocol.replications), num_clips * (1 + len(rows))):
             for name, each in scores.items():
                 replications[name].append(each)
             for (sums, units), (clips, features) in zip(by_take, described, strict=True):
@@ -603,15 +597,11 @@ class Comparison:
             return _Reference(first, replication, protocol).compare(second)
 
         replications = []
-        for scores in self._replicated(replicate, 2):
+        num_clips = protocol.replications * protocol.num_clips
+        for scores in in_threads(replicate, range(protocol.replications), 2 * num_clips):
             replications.append(scores)
             on_replication()
         return self._summarised(replications, (), True)
-
-    def _replicated(self, replicate: Callable[[int], Result], num_sets: int) -> Iterator[Result]:
-        """The results of each replication, which draws clips of so many sets."""
-        replications = self.protocol.replications
-        return in_threads(replicate, range(replications), replications * self.protocol.num_clips * num_sets)
 
     def _summarised(self, replications: list[dict[str, float]], resampled: Resampled, single_sets: bool) -> Number:
         """The mean; where each replication had its own takes, with the interval of a single one."""

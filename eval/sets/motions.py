@@ -211,15 +211,8 @@ def generate_fields(
 
 def remembering(field: MotionField) -> DerivedField:
     """The field with the poses of its last two queries: several rows are sampled at the same instants."""
-
-    @lru_cache(2)
-    def query(times: bytes) -> Poses:
-        return field.query(np.frombuffer(times))
-
-    @lru_cache(2)
-    def derived(fps: Fraction) -> DerivedField:
-        return remembering(at_fps(field, fps))
-
+    query: Callable[[bytes], Poses] = lru_cache(2)(lambda times: field.query(np.frombuffer(times)))
+    derived: Callable[[Fraction], DerivedField] = lru_cache(2)(lambda fps: remembering(at_fps(field, fps)))
     return DerivedField(field, lambda times: query(times.tobytes()), derived)
 
 
@@ -235,16 +228,15 @@ def sample_fields(
 
     Nothing is resampled: the field is asked for every instant. The take of a motion is the sequence it was made for.
     """
-    wanted = set(sequence_ids)
-    chosen = [(window, field) for window, field in fields.items() if window.sequence_id in wanted]
-    if not chosen:
+    known = set(sequence_ids)
+    windows = [window for window in fields if window.sequence_id in known]
+    if not windows:
         return None
-    windows = [window for window, _ in chosen]
     draws = tuple(window.draw for window in windows)
     return SampleSet(
         name,
         fps,
-        Ragged.of([to_motion(field, fps).joint_positions for _, field in chosen]),
+        Ragged.of([to_motion(fields[window], fps).joint_positions for window in windows]),
         tuple(f"{each.sequence_id}#{each.number}" + (f"@{each.draw}" if each.draw else "") for each in windows),
         captions=tuple(window.request.text for window in windows),
         actions=tuple(window.request.action for window in windows),

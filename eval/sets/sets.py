@@ -187,8 +187,8 @@ def check_sample_names(samples: Iterable[str], systems: Iterable[str] = ()) -> N
 
     The systems' rows are those of every variant, the samples' as they are and planted.
     """
-    systems = (REAL.system, TRAINING_TAKES.system, *systems)
-    names = {str(RowId(system, variant)) for system in systems for variant in Variant}
+    known = (REAL.system, TRAINING_TAKES.system, *systems)
+    names = {str(RowId(system, variant)) for system in known for variant in Variant}
     for system in samples:
         own = {str(RowId(system)), str(RowId(system, Variant.PLANTED))}
         if duplicates := sorted(own & names):
