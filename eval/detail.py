@@ -200,8 +200,7 @@ def smoothed(values: Signal, seconds: float, rate: float) -> Signal:
     if num < 3:
         return values
     window = np.hanning(num + 2)[1:-1]
-    mean: Signal = scipy.ndimage.convolve1d(values, window / window.sum(), axis=0, mode="reflect")
-    return mean
+    return np.asarray(scipy.ndimage.convolve1d(values, window / window.sum(), axis=0, mode="reflect"))
 
 
 def _lagged(values: Signal, rate: float) -> Signal:

@@ -27,7 +27,7 @@ import numpy.typing as npt
 import scipy.fft
 from threadpoolctl import ThreadpoolController
 
-from eval.metrics.distributions import fid_infinity, fit_gaussian, frechet_distance, kid, prdc
+from eval.metrics.distributions import Gaussian, fid_infinity, fit_gaussian, frechet_distance, kid, prdc
 from eval.metrics.metric import Metric
 from eval.metrics.number import (
     RESAMPLINGS,
@@ -465,26 +465,6 @@ def fit_on(train: SampleSet, seed: int = 0) -> KinematicDescriptor:
     return replace(fitted, centre=described.mean(axis=0), scale=scale, training=training)
 
 
-class _Reference:
-    """The features of one replication's real clips, with which others are compared."""
-
-    def __init__(self, features: Features, replication: int, protocol: Protocol) -> None:
-        self.features, self.gaussian = features, fit_gaussian(features)
-        self.stream, self.protocol = (protocol.seed, replication, 4), protocol
-        self.is_detailed = replication < protocol.detailed_replications
-
-    def compare(self, other: Features) -> dict[str, float]:
-        """clip-FID, and in detailed replications all further metrics."""
-        scores = {"clip_fid": frechet_distance(self.gaussian, fit_gaussian(other))}
-        if self.is_detailed:
-            # FID∞ needs more than four clips per feature.
-            with suppress(ValueError):
-                scores["fid_infinity"] = fid_infinity(self.features, other, np.random.default_rng(self.stream))
-            scores["kid"] = kid(self.features, other)
-            scores |= prdc(self.features, other, self.protocol.num_neighbours)
-        return scores
-
-
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """The comparison of sample sets with the real set at one framerate; the features were fitted on `training`."""
@@ -546,8 +526,9 @@ class Comparison:
 
         def replicate(replication: int) -> tuple[dict[RowKey, dict[str, float]], list[tuple[Clips, Features]]]:
             clips = draw_clips(real, protocol, replication, REAL)
-            reference = _Reference(self._describe_real(clips), replication, protocol)
-            scores, described = {}, [(clips, reference.features)]
+            reference = self._describe_real(clips)
+            gaussian = fit_gaussian(reference)
+            scores, described = {}, [(clips, reference)]
             for name, samples in rows.items():
                 among = None
                 if name in subsets:
@@ -556,7 +537,7 @@ class Comparison:
                     among = rng.choice(long_enough, size=min(subsets[name], len(long_enough)), replace=False)
                 clips = draw_clips(samples, protocol, replication, OTHER, among)
                 features = describers[name](clips)
-                scores[name] = reference.compare(features)
+                scores[name] = self._compared(reference, gaussian, features, replication)
                 if name in resampled:
                     described.append((clips, features))
             return scores, described
@@ -594,7 +575,7 @@ class Comparison:
                 self._describe_real(draw_clips(real, protocol, replication, side, among))
                 for side, among in ((REAL, order[:middle]), (OTHER, order[middle:]))
             )
-            return _Reference(first, replication, protocol).compare(second)
+            return self._compared(first, fit_gaussian(first), second, replication)
 
         replications = []
         num_clips = protocol.replications * protocol.num_clips
@@ -602,6 +583,17 @@ class Comparison:
             replications.append(scores)
             on_replication()
         return self._summarised(replications, (), True)
+
+    def _compared(self, real: Features, gaussian: Gaussian, other: Features, replication: int) -> dict[str, float]:
+        """clip-FID, and in detailed replications all further metrics; the first distribution is that of `real`."""
+        scores = {"clip_fid": frechet_distance(gaussian, fit_gaussian(other))}
+        if replication < self.protocol.detailed_replications:
+            # FID∞ needs more than four clips per feature.
+            with suppress(ValueError):
+                rng = np.random.default_rng((self.protocol.seed, replication, 4))
+                scores["fid_infinity"] = fid_infinity(real, other, rng)
+            scores |= {"kid": kid(real, other), **prdc(real, other, self.protocol.num_neighbours)}
+        return scores
 
     def _summarised(self, replications: list[dict[str, float]], resampled: Resampled, single_sets: bool) -> Number:
         """The mean; where each replication had its own takes, with the interval of a single one."""
