@@ -21,7 +21,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
 from motionkit.core.skeleton import MAX_JOINTS, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, rest_positions, with_layout_map
+from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, rest_positions, rig_name, with_layout_map
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io import body_frame, source_file
 from motionkit.io.body_frame import from_y_up, infer_up, log_lines, skeleton_to_y_up, to_y_up, turn_of
@@ -176,7 +176,7 @@ def read_document(path: Path, options: ReadOptions | None = None, *, strict: boo
         operations.append(T_POSE_DROPPED)
     if not valid.all():
         table = table[source_file.last_valid(valid, path)]
-    pose = _decode(table, head.joints, path.stem)
+    pose = _decode(table, head.joints)
     pose = replace(pose, skeleton=with_layout_map(pose.skeleton, options.skeleton_maps))
     unit_metres, reason = _unit(pose, options, path, strict)
     skeleton, moving = _settle_offsets(pose, RIGID_METRES / unit_metres)
@@ -387,11 +387,11 @@ class _ChannelPose:
     operations: tuple[str, ...]
 
 
-def _decode(table: Float64[np.ndarray, "frames channels"], joints: tuple[BvhJoint, ...], name: str) -> _ChannelPose:
+def _decode(table: Float64[np.ndarray, "frames channels"], joints: tuple[BvhJoint, ...]) -> _ChannelPose:
     names, operations = source_file.unique_names([joint.name for joint in joints])
     offsets = np.array([joint.offset for joint in joints], dtype=np.float64)
     skeleton = Skeleton(
-        name=name,
+        name=rig_name(names),
         joint_names=names,
         parents=tuple(joint.parent for joint in joints),
         offsets=offsets.astype(np.float32),

@@ -1,14 +1,14 @@
-"""glTF 2.0 binary (.glb): motions as a skinned skeleton with one animation, and motions onto a character's rig.
+"""glTF 2.0 binary (.glb): motions as a skinned skeleton with one animation, read back; and onto a character's rig.
 
-Nodes are joints, metres, y up. Rotations (and the root's translation) have a key at every frame; octahedra make the
-bones visible. `asset.extras` holds what glTF has no field for: the exact framerate, captions, licence.
+Nodes are joints, metres, y up. Rotations (and the root's translation) are written with a key at every frame; octahedra
+make the bones visible. `asset.extras` holds what glTF has no field for: the exact framerate, captions, licence.
 Source: Khronos, glTF 2.0 specification, §3.5 (nodes), §3.7 (meshes and skins), §3.11 (animations), §4.4 (GLB).
 """
 
 import json
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +17,32 @@ import numpy as np
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.files import parse_json, read_at_most
-from motionkit.core.motion import Motion
+from motionkit.core.motion import Caption, Motion
+from motionkit.core.progress import warn
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import MAX_JOINTS, SMPL22, Skeleton
-from motionkit.core.skeletons.mapping import SkeletonMapError, counterpart_joints, rest_positions, with_layout_map
-from motionkit.io.joint_rotations import joint_channels
-from motionkit.io.registry import Format, ReadOptions
+from motionkit.core.skeletons.mapping import (
+    SkeletonMapError,
+    counterpart_joints,
+    rest_positions,
+    rig_name,
+    with_layout_map,
+)
+from motionkit.core.timegrid import TimeGrid, num_frames_within, parse_fps
+from motionkit.io import source_file
+from motionkit.io.body_frame import in_metres
+from motionkit.io.joint_rotations import RIGID_METRES, joint_channels
+from motionkit.io.registry import Format, ReadOptions, of_path
 from motionkit.io.source_file import unique_names
 
 MAGIC, VERSION = 0x46546C67, 2
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 COMPONENT_TYPES = {"float32": 5126, "uint16": 5123, "uint32": 5125}
 WIDTHS = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+# Of animated values; whole numbers are shares of the largest one.
+DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
+# glTF's key times are float32: a step's value holds from this much before its key.
+KEY_SECONDS = 1e-4
 VERTICES, INDICES = 34962, 34963
 LARGEST_BYTES = 1 << 30
 # A bone is thickest at a sixth of its length, with the thickness of Blender's bones.
@@ -298,20 +312,37 @@ def _read_chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
     return document, data[start + 8 : start + 8 + size]
 
 
-def _rig(document: dict[str, Any], binary: bytes, path: Path, options: ReadOptions) -> GltfRig:
+def _joints(document: dict[str, Any]) -> tuple[list[int], list[int], dict[int, list[int]]]:
+    """The nodes that are joints, parents first, each one's parent among them, and of each the nodes above it.
+
+    They are those of the skins; without a skin the animated nodes and all below them. Raises `ValueError` unless they
+    have a single root. The nearest node above comes first.
+    """
     nodes: list[dict[str, Any]] = document["nodes"]
-    joints = {joint for skin in document["skins"] for joint in skin["joints"]}
+    parent_of = {child: number for number, node in enumerate(nodes) for child in node.get("children", ())}
+    joints = {joint for skin in document.get("skins", ()) for joint in skin["joints"]}
+    if not joints and document.get("animations"):
+        moved = {each["target"].get("node", -1) for each in document["animations"][0]["channels"]}
+        joints = {node for node in range(len(nodes)) if moved & {node, *_nodes_above(node, parent_of)}}
     if not 1 <= len(joints) <= MAX_JOINTS or not all(0 <= joint < len(nodes) for joint in joints):
         raise ValueError(f"{len(joints)} joints")
-    parent_of = {child: number for number, node in enumerate(nodes) for child in node.get("children", ())}
-    # Of each joint the nodes above it, the nearest first.
     chains = {joint: _nodes_above(joint, parent_of) for joint in joints}
-    order = sorted(joints, key=lambda joint: (len(chains[joint]), joint))
+    order = sorted(joints)
+    if any(node > joint for joint in joints for node in joints.intersection(chains[joint])):
+        order.sort(key=lambda joint: len(chains[joint]))
     number_of = {joint: number for number, joint in enumerate(order)}
     parents = [next((number_of[node] for node in chains[joint] if node in joints), -1) for joint in order]
     if parents.count(-1) != 1:
         raise ValueError(f"{parents.count(-1)} roots, expected 1")
-    matrices = [_matrix(node) for node in nodes]
+    return order, parents, chains
+
+
+def _rig(document: dict[str, Any], binary: bytes, path: Path, options: ReadOptions) -> GltfRig:
+    if not document["skins"]:
+        raise ValueError("no skin")
+    nodes: list[dict[str, Any]] = document["nodes"]
+    order, parents, chains = _joints(document)
+    matrices = [_matrices(node)[0] for node in nodes]
 
     def product(chain: Sequence[int]) -> Float64[np.ndarray, "4 4"]:
         """The transform of nodes that are given from the innermost outwards."""
@@ -333,17 +364,168 @@ def _rig(document: dict[str, Any], binary: bytes, path: Path, options: ReadOptio
             back = kinematics.quaternion_conjugate(turns[parent])
             rest[number] = kinematics.quaternion_multiply(back, turns[number])
             offsets[number] = kinematics.quaternion_rotate(back, places[number] - places[parent])
-    names = [str(nodes[joint].get("name", f"node {joint}")) for joint in order]
-    skeleton = Skeleton(path.stem, unique_names(names)[0], tuple(parents), offsets.astype(np.float32))
     return GltfRig(
         document,
         binary,
-        with_layout_map(skeleton, options.skeleton_maps),
+        _skeleton(nodes, order, parents, offsets, options),
         tuple(order),
         rest,
         kinematics.matrix_to_quaternion(np.array(above)),
         product(chains[order[0]]),
     )
+
+
+def _skeleton(
+    nodes: list[dict[str, Any]],
+    order: list[int],
+    parents: list[int],
+    offsets: Float64[np.ndarray, "joints 3"],
+    options: ReadOptions,
+) -> Skeleton:
+    names = unique_names([str(nodes[joint].get("name", f"node {joint}")) for joint in order])[0]
+    skeleton = Skeleton(rig_name(names), names, tuple(parents), offsets.astype(np.float32))
+    return with_layout_map(skeleton, options.skeleton_maps)
+
+
+def read_gltf(path: Path, options: ReadOptions | None = None) -> Motion:
+    """Read the first animation of a .glb: positions in metres, y up, rotations relative to the rest pose of its nodes.
+
+    Joints are those of the skin, without one the animated nodes and all below. The framerate is that of the most keys,
+    which must be even in time; with `options.fps` the animation, a function of time, is sampled at it. Bones that
+    change by more than 2 mm leave positions alone. Raises `FormatError` (`gltf`, `no-framerate`, `frame-time`).
+    """
+    options = options or ReadOptions()
+    data = source_file.read_bytes(path)
+    try:
+        document, binary = _read_chunks(data)
+        return in_metres(_motion(document, binary, data, path, options), options.unit_metres)
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError, struct.error) as error:
+        message = f"no .glb with an animated skeleton ({error or error!r})"
+        raise FormatError(message, path=path, reason="gltf") from None
+
+
+def _motion(document: dict[str, Any], binary: bytes, data: bytes, path: Path, options: ReadOptions) -> Motion:
+    nodes, extras = document["nodes"], document["asset"].get("extras") or {}
+    if not (animations := document.get("animations")):
+        raise ValueError("it has no animation")
+    if len(animations) > 1:
+        warn(f"{path}: the first of {len(animations)} animations is read")
+    order, parents, chains = _joints(document)
+    tracks = []
+    for channel in animations[0]["channels"]:
+        sampler, target = animations[0]["samplers"][channel["sampler"]], channel["target"]
+        if "node" in target and target["path"] in ("translation", "rotation", "scale"):
+            keys, values = (_numbers(document, binary, sampler[name]) for name in ("input", "output"))
+            track = (keys[:, 0], values, str(sampler.get("interpolation", "LINEAR")))
+            tracks.append((target["node"], target["path"], track))
+    keys = max((track[0] for _, _, track in tracks), key=len)
+    if options.fps is None:
+        grid = source_file.grid_of_seconds(keys, path, parse_fps(extras["fps"]) if "fps" in extras else None)
+    else:
+        grid = TimeGrid(options.fps, num_frames_within(float(keys[-1] - keys[0]), options.fps), float(keys[0]))
+    source_file.check_size(grid.num_frames, len(order), path)
+    seconds = grid.seconds()
+    moved = {(node, name): _sampled(*track, seconds, is_rotation=name == "rotation") for node, name, track in tracks}
+    world, rest = (_world(nodes, order, chains, each) for each in (moved, {}))
+    # A joint's turn is from its rest pose, in which all of them are thus identities.
+    turns, places = world[0] @ rest[0].swapaxes(-1, -2), rest[1][0]
+    above = np.maximum(parents, 0)
+    offsets = places - np.where(np.array(parents)[:, None] < 0, 0.0, places[above])
+    skeleton = _skeleton(nodes, order, parents, offsets, options)
+    positions = world[1].astype(np.float32)
+    local = np.concatenate((turns[:, :1], turns[:, above[1:]].swapaxes(-1, -2) @ turns[:, 1:]), axis=1)
+    rotations = kinematics.matrix_to_quaternion(local).astype(np.float32)
+    reached = kinematics.forward_kinematics(rotations, positions[:, 0], skeleton)
+    is_rigid = np.abs(reached - positions).max() <= RIGID_METRES
+    captions = (
+        Caption(each["text"], each["start_seconds"], each["end_seconds"]) for each in extras.get("captions", ())
+    )
+    log = [] if is_rigid else ["positions only: bones change their lengths"]
+    if options.fps is not None:
+        log.append(f"sampled at {options.fps} fps")
+    origin = source_file.provenance(path, data, "gltf", log, stated_fps=str(extras.get("fps", "")))
+    return Motion(
+        positions,
+        skeleton,
+        replace(grid, start_seconds=grid.start_seconds + float(extras.get("start_seconds", 0.0))),
+        local_rotations=rotations if is_rigid else None,
+        root_translation=positions[:, 0] if is_rigid else None,
+        captions=tuple(captions),
+        action=str(extras.get("action", "")),
+        style=str(extras.get("style", "")),
+        sequence_id=path.stem,
+        provenance=replace(origin, source=str(extras.get("source", "")), licence=str(extras.get("licence", ""))),
+    )
+
+
+def _numbers(document: dict[str, Any], binary: bytes, index: int) -> Float64[np.ndarray, "rows width"]:
+    """The values of an accessor; raises `ValueError` for sparse ones and those of other files."""
+    accessor = document["accessors"][index]
+    view, dtype = document["bufferViews"][accessor["bufferView"]], np.dtype(DTYPES[accessor["componentType"]])
+    width = next(number for number, name in WIDTHS.items() if name == accessor["type"])
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    stride, count = view.get("byteStride", width * dtype.itemsize), accessor["count"]
+    if "sparse" in accessor or "uri" in document["buffers"][view["buffer"]] or view["buffer"] != 0:
+        raise ValueError("its animation is sparse or in another file: export one .glb")
+    if count < 1 or start < 0 or stride < width * dtype.itemsize:
+        raise ValueError(f"accessor {index} is damaged")
+    values = np.ndarray((count, width), dtype, binary, start, (stride, dtype.itemsize)).astype(np.float64)
+    if not np.isfinite(values).all():
+        raise ValueError(f"accessor {index} holds what is no number")
+    return values if dtype.kind == "f" else np.maximum(values / np.iinfo(dtype).max, -1.0)
+
+
+def _sampled(
+    keys: Float64[np.ndarray, "keys"],
+    values: Float64[np.ndarray, "rows width"],
+    interpolation: str,
+    seconds: Float64[np.ndarray, "frames"],
+    *,
+    is_rotation: bool,
+) -> Float64[np.ndarray, "frames width"]:
+    """An animated value at some instants, before the first key and after the last as at them (glTF, appendix C)."""
+    last = len(keys) - 1
+    if (np.diff(keys) <= 0).any():
+        raise ValueError("key times do not ascend")
+    start = np.clip(np.searchsorted(keys, seconds + KEY_SECONDS, side="right") - 1, 0, last)
+    if interpolation == "STEP":
+        return values[start]
+    end = np.minimum(start + 1, last)
+    step = np.where(end > start, keys[end] - keys[start], 1.0)
+    share = np.clip((seconds - keys[start]) / step, 0.0, 1.0)
+    t = share[:, None]
+    if interpolation == "CUBICSPLINE":
+        arriving, at, leaving = values.reshape(last + 1, 3, -1).swapaxes(0, 1)
+        bend = (t - 1) * leaving[start] + t * arriving[end]
+        sampled = (
+            (1 + 2 * t) * (1 - t) ** 2 * at[start] + t**2 * (3 - 2 * t) * at[end] + t * (t - 1) * step[:, None] * bend
+        )
+    elif is_rotation:
+        sampled = kinematics.quaternion_slerp(values[start], values[end], share)
+    else:
+        sampled = (1 - t) * values[start] + t * values[end]
+    return np.asarray(sampled)
+
+
+def _world(
+    nodes: list[dict[str, Any]],
+    order: list[int],
+    chains: dict[int, list[int]],
+    moved: Mapping[tuple[int, str], Float64[np.ndarray, "frames _"]],
+) -> tuple[Float64[np.ndarray, "frames joints 3 3"], Float64[np.ndarray, "frames joints 3"]]:
+    """Rotations and positions of joints in the world, with the animated values in place of the nodes' own."""
+    world: dict[int, np.ndarray] = {-1: np.eye(4)[None]}
+    for joint in order:
+        for node, above in zip(path := [*reversed(chains[joint]), joint], [-1, *path[:-1]], strict=True):
+            if node not in world:
+                own = {name: values for (each, name), values in moved.items() if each == node}
+                world[node] = world[above] @ _matrices({**_without_matrix(nodes[node]), **own})
+    num_frames = max(map(len, world.values()))
+    every = np.stack([np.broadcast_to(world[joint], (num_frames, 4, 4)) for joint in order], axis=1)
+    sizes = np.linalg.norm(every[..., :3, :3], axis=-2, keepdims=True)
+    if sizes.min() < 1e-9 * sizes.max():
+        raise ValueError("a node that flattens")
+    return every[..., :3, :3] / sizes, every[..., :3, 3]
 
 
 def _nodes_above(node: int, parent_of: dict[int, int]) -> list[int]:
@@ -356,21 +538,24 @@ def _nodes_above(node: int, parent_of: dict[int, int]) -> list[int]:
     return chain
 
 
-def _matrix(node: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:
+def _matrices(node: dict[str, Any]) -> Float64[np.ndarray, "frames 4 4"]:
+    """The local transform of a node, one for each frame of its animated values; without these a single one."""
     if "matrix" in node:
-        return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    x, y, z, w = (float(each) for each in node.get("rotation", (0, 0, 0, 1)))
-    matrix = np.eye(4)
-    matrix[:3, :3] = kinematics.quaternion_to_matrix(np.array([w, x, y, z])) * np.array(node.get("scale", (1, 1, 1)))
-    matrix[:3, 3] = node.get("translation", (0, 0, 0))
-    return matrix
+        return np.array(node["matrix"], np.float64).reshape(1, 4, 4).swapaxes(1, 2)
+    rest = {"rotation": (0, 0, 0, 1), "scale": (1, 1, 1), "translation": (0, 0, 0)}
+    rotation, scale, place = (np.atleast_2d(np.array(node.get(name, own), np.float64)) for name, own in rest.items())
+    rotation = rotation / np.linalg.norm(rotation, axis=-1, keepdims=True)
+    matrices = np.zeros((max(map(len, (rotation, scale, place))), 4, 4))
+    matrices[:, :3, :3] = kinematics.quaternion_to_matrix(rotation[:, [3, 0, 1, 2]]) * scale[:, None]
+    matrices[:, :3, 3], matrices[:, 3, 3] = place, 1.0
+    return matrices
 
 
 def _without_matrix(node: dict[str, Any]) -> dict[str, Any]:
     """A node with translation, rotation and scale in place of a matrix, as animated nodes require (§3.5.3)."""
     if "matrix" not in node:
         return node
-    matrix = _matrix(node)
+    matrix = _matrices(node)[0]
     w, *xyz = kinematics.matrix_to_quaternion(_rotation(matrix)[None])[0].tolist()
     return {
         **{key: value for key, value in node.items() if key != "matrix"},
@@ -388,4 +573,4 @@ def _rotation(matrix: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "3 3"]:
     return np.asarray(u @ vt)
 
 
-FORMAT = Format(name="gltf", suffixes=(".glb",), write=write_gltf)
+FORMAT = Format(name="gltf", read=of_path(read_gltf), suffixes=(".glb",), write=write_gltf)

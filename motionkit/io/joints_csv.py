@@ -17,6 +17,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
+from motionkit.core.skeletons.mapping import rig_name
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import source_file
 from motionkit.io.body_frame import in_metres
@@ -54,7 +55,7 @@ def read_joints_csv(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     positions = table[:, columns].reshape(len(table), len(order), 3).astype(np.float32)
     if skeleton is None:
         parents = (-1, *(0,) * (len(order) - 1))
-        skeleton = Skeleton(path.stem, order, parents, bones_of_pose(positions[0], parents))
+        skeleton = Skeleton(rig_name(order), order, parents, bones_of_pose(positions[0], parents))
     motion = Motion(
         joint_positions=positions,
         skeleton=skeleton,

@@ -20,7 +20,7 @@ from motionkit.core.errors import FormatError, MotionkitError
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import STANDARD_SKELETONS, Feet, Skeleton
-from motionkit.core.skeletons.mapping import parse_layout_map
+from motionkit.core.skeletons.mapping import parse_layout_map, rig_name
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import in_metres
@@ -89,7 +89,7 @@ def read_skeleton(archive: npy.Archive, joint_positions: Float32[np.ndarray, "fr
         tips = joints("end_site_joints", (None,)) if "end_site_joints" in archive else []
         tip_offsets = archive.exact("end_site_offsets", (len(tips), 3)).tolist() if tips else []
         return Skeleton(
-            archive.text("skeleton") if "skeleton" in archive else path.stem,
+            archive.text("skeleton") if "skeleton" in archive else rig_name(names),
             names,
             parents,
             archive.numbers("offsets", (num_joints, 3))

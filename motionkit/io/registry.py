@@ -245,7 +245,7 @@ _BUILT_IN = (
     _BuiltIn("motionstreamer", "pose_vectors", "MOTIONSTREAMER_FORMAT", suffixes=(".npy",)),
     _BuiltIn("csv", "joints_csv", suffixes=(".csv",), writes=True),
     _BuiltIn("robot-csv", "robot_csv", writes=True),
-    _BuiltIn("gltf", "gltf", writes=True),
+    _BuiltIn("gltf", "gltf", suffixes=(".glb",), writes=True),
 )
 
 

@@ -3,10 +3,12 @@
 import json
 import struct
 from collections.abc import Callable, Iterable, Sequence
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
+import motionkit as mk
 from motionkit.features import humanml3d
 from motionkit.io.deepmimic import humanoid3d
 from motionkit.io.humanml3d import HUMANML3D, Entry, FolderWriter, Layout
@@ -51,6 +53,11 @@ def write_arrays(name: str, **arrays: np.ndarray) -> Callable[[Path], Path]:
 def write_acclaim(folder: Path) -> Path:
     write_asfamc(folder)
     return next(folder.glob("*.amc"))
+
+
+def write_animation(folder: Path) -> Path:
+    mk.write(mk.Motion(bodies(5, 22), mk.SMPL22, mk.TimeGrid(Fraction(30), 5)), folder / "take.glb")
+    return folder / "take.glb"
 
 
 def write_style(folder: Path) -> Path:
@@ -192,4 +199,5 @@ SOURCES: dict[str, Callable[[Path], Path]] = {
     "motionstreamer": write_vectors(lambda: motionstreamer_rows(walk(30, 2.0))),
     "npz": write_arrays("take.npz", joint_positions=bodies(5, 22), fps=np.array(30.0), captions=np.array(["walks"])),
     "csv": write_bytes("take.csv", b"time_seconds,a_x,a_y,a_z\n0.0,1,2,3\n0.5,1,2,3.5\n1.0,1,2,3.25\n"),
+    "gltf": write_animation,
 }

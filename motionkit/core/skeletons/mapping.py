@@ -137,6 +137,12 @@ def find_family(names: tuple[str, ...]) -> SkeletonFamily | None:
     return next((family for family in shipped_families() if fits(family, names)), None)
 
 
+def rig_name(joint_names: tuple[str, ...]) -> str:
+    """A name for a skeleton whose file gives none: its family's, else its root joint's."""
+    family = find_family(canonical_names(joint_names))
+    return joint_names[0] if family is None else family.name
+
+
 def draft_map(skeleton: Skeleton, name: str) -> str:
     """A table for `read_skeleton_map` as TOML text, of joint names that shipped families have, to be completed."""
     names = canonical_names(skeleton.joint_names)

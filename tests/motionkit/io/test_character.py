@@ -227,6 +227,7 @@ def test_a_glb_keeps_its_nodes_and_moves_as_the_source(walk: mk.Motion, rig: mk.
     places = world_places(tmp_path / "walk.glb")[:, 1:23].astype(np.float32)
     own = [rig.joint_names.index(name) for name in performed.skeleton.joint_names]
     np.testing.assert_allclose(places[:, own], performed.joint_positions, atol=1e-4)
+    np.testing.assert_allclose(mk.read(tmp_path / "walk.glb").joint_positions, places, atol=1e-5)
     moved = mk.Motion(places, rig, walk.timegrid)
     np.testing.assert_allclose(directions(as_smpl(moved)), directions(walk), atol=1e-3)
     lengths = np.linalg.norm(places[:, 1:] - places[:, list(rig.parents[1:])], axis=-1)

@@ -1,4 +1,4 @@
-"""glTF: read by pygltflib, moved by a plain forward kinematics of the file's own numbers."""
+"""glTF: read by pygltflib, moved by a plain forward kinematics of the file's own numbers; and read by motionkit."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -8,7 +8,9 @@ import pytest
 
 import motionkit as mk
 from motionkit.core.kinematics import forward_kinematics
-from motionkit.io.gltf import write_gltf
+from motionkit.io.gltf import GlbBuffer, read_gltf, write_gltf
+from motionkit.io.registry import ReadOptions
+from tests.helpers.refusal import refusal
 
 pygltflib = pytest.importorskip("pygltflib")
 
@@ -177,3 +179,79 @@ def test_the_file_is_as_the_specification_wants_it(played):
         if path == "rotation":
             np.testing.assert_allclose(np.linalg.norm(values, axis=1), 1, atol=1e-6)
             assert (np.sum(values[1:] * values[:-1], axis=1) >= 0).all()
+
+
+def test_what_is_written_is_read_back(played, tmp_path):
+    motion, _ = played
+    back = read_gltf(tmp_path / "a.glb")
+    assert (back.timegrid, back.captions, back.action) == (motion.timegrid, motion.captions, motion.action)
+    assert back.skeleton.joint_names == motion.skeleton.joint_names
+    np.testing.assert_allclose(back.joint_positions, motion.joint_positions, atol=2e-4)
+    if motion.local_rotations is not None:
+        assert back.skeleton.parents == motion.skeleton.parents
+        np.testing.assert_allclose(
+            np.abs(np.sum(back.local_rotations * motion.local_rotations, axis=-1)), 1.0, atol=1e-5
+        )
+
+
+TRANSLATIONS = {
+    # Two keys, a second apart; a share of 1/4 and of 3/4 of the way.
+    "LINEAR": ([[0, 0, 0], [4, 0, 0]], (1.0, 3.0)),
+    "STEP": ([[0, 0, 0], [4, 0, 0]], (0.0, 0.0)),
+    # Arriving tangent, value, leaving tangent of each key: x = t³, whose slope is 0, then 3.
+    "CUBICSPLINE": ([[9, 9, 9], [0, 0, 0], [0, 0, 0], [3, 0, 0], [1, 0, 0], [9, 9, 9]], (1 / 64, 27 / 64)),
+}
+
+
+def write_nodes(path, interpolation, *, keys=(0.0, 0.25, 0.5, 0.75, 1.0), animated=True):
+    """Nodes without a skin below a turned and scaled parent: a hip that is moved by two keys, a knee by short ones."""
+    buffer = GlbBuffer()
+    moved = buffer.add(np.array(TRANSLATIONS[interpolation][0], np.float32))
+    quarter = np.array([[0, 0, np.sin(a), np.cos(a)] for a in np.linspace(0, np.pi / 4, len(keys))])
+    turned = buffer.add(np.array(quarter, np.float32))
+    samplers = [
+        {"input": buffer.add(np.array([[0.0], [1.0]], np.float32)), "output": moved, "interpolation": interpolation},
+        {"input": buffer.add(np.array(keys, np.float32)[:, None]), "output": turned},
+    ]
+    channels = [
+        {"sampler": 0, "target": {"node": 1, "path": "translation"}},
+        {"sampler": 1, "target": {"node": 2, "path": "rotation"}},
+    ]
+    half = float(np.sqrt(0.5))
+    nodes = [
+        {"name": "armature", "rotation": [0, half, 0, half], "scale": [0.5] * 3, "children": [1]},
+        {"name": "hip", "children": [2], "scale": [2] * 3},
+        {"name": "knee", "translation": [0, 1, 0], "children": [3]},
+        {"name": "ankle", "translation": [1, 0, 0]},
+    ]
+    document = {"asset": {"version": "2.0"}, "nodes": nodes}
+    buffer.write(path, document | ({"animations": [{"samplers": samplers, "channels": channels}]} if animated else {}))
+
+
+@pytest.mark.parametrize("interpolation", TRANSLATIONS)
+def test_animated_nodes_without_a_skin_are_a_motion(tmp_path, interpolation):
+    write_nodes(tmp_path / "a.glb", interpolation)
+    motion = mk.read(tmp_path / "a.glb")
+    assert (motion.fps, motion.num_frames, motion.skeleton.joint_names) == (4, 5, ("hip", "knee", "ankle"))
+    # The parent turns x to -z and halves it; the hip doubles what is below.
+    early, late = (0.5 * value for value in TRANSLATIONS[interpolation][1])
+    np.testing.assert_allclose(motion.joint_positions[[1, 3], 0], [[0, 0, -early], [0, 0, -late]], atol=1e-6)
+    bent = np.array([[0, 0, -1], [0, half := np.sqrt(0.5), -half], [0, 1, 0]])
+    ankles = motion.joint_positions[[0, 2, 4], 2] - motion.joint_positions[[0, 2, 4], 1]
+    np.testing.assert_allclose(ankles, bent, atol=1e-6)
+    assert motion.local_rotations is not None
+    np.testing.assert_allclose(motion.skeleton.offsets[2], [0, 0, -1], atol=1e-6)
+    assert mk.read(tmp_path / "a.glb", fps=8).num_frames == 9
+
+
+def test_a_glb_without_a_motion_is_explained(tmp_path):
+    path = tmp_path / "a.glb"
+    write_nodes(path, "LINEAR", animated=False)
+    assert "no animation" in str(refusal(read_gltf, path))
+    write_nodes(path, "LINEAR", keys=(0.0, 0.1, 0.5, 0.75, 1.0))
+    assert refusal(read_gltf, path).reason == "frame-time"
+    assert read_gltf(path, ReadOptions(fps=Fraction(10))).num_frames == 11
+    whole = path.read_bytes()
+    for size in (0, 5, 30, len(whole) - 40):
+        path.write_bytes(whole[:size])
+        assert refusal(read_gltf, path).reason in ("gltf", "empty")
