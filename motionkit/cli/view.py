@@ -14,6 +14,7 @@ from motionkit.cli.console import (
     StorePath,
     Up,
     Where,
+    named_store,
     parse_rate,
     print_failures,
     print_json,
@@ -35,7 +36,8 @@ def view(
     store: StorePath = None,
     where: Where = None,
     limit: Annotated[
-        int, typer.Option(min=1, max=MOST_MOTIONS, help="Maximum number of motions in the page; the first are shown.")
+        int,
+        typer.Option(min=1, max=MOST_MOTIONS, help="Maximum number of motions in the page; of a store, unlike ones."),
     ] = 6,
     from_seconds: Annotated[
         float | None, typer.Option("--from", metavar="SECONDS", help="Start at this time.", show_default=False)
@@ -57,6 +59,12 @@ def view(
         typer.Option("--format", help="A film, a strip of poses or a recording instead of a page.", show_default=False),
     ] = None,
     skeleton_map: SkeletonMaps = None,
+    page_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--page", help="Write all sequences of a store as cards to filter, play and mark.", show_default=False
+        ),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="File to write.", show_default="NAME.view.html here")] = None,
     speed: Annotated[
         float | None,
@@ -72,8 +80,15 @@ def view(
 
     Example: motionkit view takes/walk.bvh takes/jump.bvh"""
     from motionkit.edit.motions import find_motions
-    from motionkit.viz.view import PAGE_SUFFIX, Interval, page_path, read_panels, write_view
+    from motionkit.viz.view import PAGE_SUFFIX, Interval, page_path, read_panels, spread, write_view
 
+    if page_file is not None:
+        if (from_seconds, to_seconds, film_format, out, speed) != (None,) * 5:
+            raise UsageError(
+                "--page shows whole sequences of a store: --from, --to, --format, --out, --speed do not go with it"
+            )
+        _write_cards(page_file, clips or [], store, where, overwrite=overwrite, open_page=open_page, as_json=as_json)
+        return
     interval = Interval(from_seconds, to_seconds)
     suffix = f".{film_format}" if film_format else "" if out is None else out.suffix.lower()
     film = suffix if suffix in FILMS else ""
@@ -86,8 +101,9 @@ def view(
         raise UsageError("name motions to look at: files, folders, a store, its ids, or --where")
     sources, problems = find_motions(clips or (), options, store or default_path("store"), where)
     if len(sources) > limit:
-        stderr.print(f"motionkit: the first {limit} of {len(sources):,} motions are shown: --limit shows more")
-        sources = sources[:limit]
+        which = "unlike ones" if sources[0].kind else "the first"
+        stderr.print(f"motionkit: {limit} of {len(sources):,} motions are shown, {which}: --limit shows more")
+        sources = spread(sources, limit)
     page = page_path(out, sources, film or PAGE_SUFFIX) if sources else Path()
     if sources and page.exists() and not overwrite:
         raise MotionkitError(f"{page} exists: --overwrite replaces it, --out writes elsewhere")
@@ -121,9 +137,48 @@ def view(
     elif panels:
         stdout.print(str(page))
     if panels and open_page:
-        import webbrowser
-
-        if not webbrowser.open(page.absolute().as_uri()):
-            stderr.print(f"motionkit: no browser found here: open {page} in one")
+        _open(page)
     if failures:
         raise typer.Exit(1)
+
+
+def _write_cards(
+    page: Path,
+    names: list[str],
+    store: Path | None,
+    where: str | None,
+    *,
+    overwrite: bool,
+    open_page: bool,
+    as_json: bool,
+) -> None:
+    from motionkit.store import Store
+    from motionkit.viz.corpus_page import write_corpus_page
+
+    if len(names) > 1:
+        raise UsageError("--page shows one store: name it alone, and choose with --where")
+    path = named_store(Path(names[0]) if names else None, store) or default_path("store")
+    opened = Store.open(path)
+    indices = opened.select_some(where)
+    if page.exists() and not overwrite:
+        raise MotionkitError(f"{page} exists: --overwrite replaces it")
+    with progress() as show:
+        failures = write_corpus_page(page, opened, indices, show)
+    print_failures(failures)
+    num_bytes = page.stat().st_size
+    if as_json:
+        unshown = [{"clip": name, "message": message} for name, message in failures]
+        print_json({"page": str(page), "bytes": num_bytes, "sequences": len(indices), "failed": unshown})
+    else:
+        stdout.print(f"{page}: {len(indices) - len(failures):,} sequences, {num_bytes / 1e6:.1f} MB")
+    if open_page:
+        _open(page)
+    if failures:
+        raise typer.Exit(1)
+
+
+def _open(page: Path) -> None:
+    import webbrowser
+
+    if not webbrowser.open(page.absolute().as_uri()):
+        stderr.print(f"motionkit: no browser found here: open {page} in one")

@@ -88,13 +88,15 @@ class LoadedMotion:
 class MotionSource:
     """A motion that is read by `load`: its `name` for messages, and its `short_name` without the folder.
 
-    Results are written next to `beside`: its path without suffix, with the key for a file of several motions.
+    Results are written next to `beside`: its path without suffix, with the key for a file of several motions. `kind` is
+    framerate, source and action of a stored one.
     """
 
     name: str
     short_name: str
     beside: Path
     load: Callable[[], LoadedMotion]
+    kind: tuple[str, ...] = ()
 
     @staticmethod
     def of(motion: Motion) -> "MotionSource":
@@ -173,8 +175,12 @@ def _load_item(item: SourceItem, options: ReadOptions) -> LoadedMotion:
 
 def _stored(store: Store, where: str | None) -> list[MotionSource]:
     rows = store.rows_of(store.select_some(where))
-    ids: list[str] = store.sequences_table["sequence_id"].take(rows).to_pylist()
-    return [_of_store(sequence_id, store) for sequence_id in ids]
+    columns = (
+        store.sequences_table[name].take(rows).to_pylist() for name in ("sequence_id", "fps", "source", "action")
+    )
+    return [
+        replace(_of_store(name, store), kind=(str(fps), *others)) for name, fps, *others in zip(*columns, strict=True)
+    ]
 
 
 def _of_store(sequence_id: str, store: Store) -> MotionSource:

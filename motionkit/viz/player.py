@@ -205,24 +205,30 @@ def page_of(title: str, panels: Sequence[Panel], *, note: str = "") -> str:
             f"the page would have {size / 1e6:,.0f} MB of positions, {longest:,.0f} s of the longest motion; at most "
             f"{MOST_PAGE_BYTES / 1e6:,.0f} MB: show a part with --from {begin:g} --to {end:g}, or fewer motions"
         )
-    # A script must not contain anything like its closing tag.
-    text = json.dumps(data_of(title, panels, note), ensure_ascii=False, allow_nan=False)
-    return player(title, text.replace("<", "\\u003c"))
+    return player(title, data_text(data_of(title, panels, note)))
+
+
+def data_text(data: dict[str, Any]) -> str:
+    """Data of a page as JSON without any <: a script must not contain anything like its closing tag."""
+    return json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def player(title: str, data: str) -> str:
-    """The page with this text for its data: `data_of` as JSON without any <, or what a script puts that in place of."""
-    files = resources.files("motionkit.viz") / "player_page"
-    contents = {
-        "TITLE": html.escape(title),
-        "STYLE": files.joinpath("style.css").read_text(encoding="utf-8"),
-        "SCRIPTS": "\n".join(files.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS),
-        "DATA": data,
-    }
-    page = files.joinpath("page.html").read_text(encoding="utf-8")
+    """The page with this text for its data: `data_text`, or what a script puts that in place of."""
+    return filled("page.html", title, data, SCRIPTS, ("style.css",))
+
+
+def filled(page: str, title: str, data: str, scripts: Sequence[str], styles: Sequence[str]) -> str:
+    """A page of the folder `player_page` with title, data, scripts and styles inside."""
+    folder = resources.files("motionkit.viz") / "player_page"
+
+    def text(names: Sequence[str]) -> str:
+        return "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in names)
+
+    contents = {"TITLE": html.escape(title), "STYLE": text(styles), "SCRIPTS": text(scripts), "DATA": data}
     # In one pass, since a title may contain any text.
-    page = re.sub("__(TITLE|STYLE|SCRIPTS|DATA)__", lambda place: contents[place[1]], page)
-    return page.encode("utf-8", "backslashreplace").decode()  # bytes of a file's name may be no letters
+    result = re.sub("__(TITLE|STYLE|SCRIPTS|DATA)__", lambda place: contents[place[1]], text([page]))
+    return result.encode("utf-8", "backslashreplace").decode()  # bytes of a file's name may be no letters
 
 
 def write_page(path: Path, title: str, panels: Sequence[Panel], *, note: str = "") -> int:

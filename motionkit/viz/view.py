@@ -2,6 +2,7 @@
 
 import html
 import webbrowser
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,6 +115,22 @@ class Interval:
     def __str__(self) -> str:
         begin = "" if self.from_seconds is None else f" from {self.from_seconds:g} s"
         return begin + ("" if self.to_seconds is None else f" to {self.to_seconds:g} s")
+
+
+def spread(sources: Sequence[MotionSource], limit: int) -> list[MotionSource]:
+    """At most `limit` sources in order: stored ones of unlike framerate, source and action, of others the first."""
+    of_kind: dict[tuple[str, ...], deque[int]] = {}
+    for number, source in enumerate(sources):
+        of_kind.setdefault(source.kind, deque()).append(number)
+    chosen: list[int] = []
+    uses: Counter[tuple[int, str]] = Counter()
+    while len(chosen) < min(limit, len(sources)):
+        kind = min(of_kind, key=lambda kind: sum(uses[pair] for pair in enumerate(kind)))
+        chosen.append(of_kind[kind].popleft())
+        uses.update(enumerate(kind))
+        if not of_kind[kind]:
+            del of_kind[kind]
+    return [sources[number] for number in sorted(chosen)]
 
 
 def read_panels(

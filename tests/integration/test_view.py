@@ -1,6 +1,9 @@
 """`motionkit view`, file to page: every kind of motion, stretches, limits, what is told when nothing is shown."""
 
 import json
+import shlex
+import shutil
+import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
@@ -20,7 +23,7 @@ from motionkit.io.npz import write_npz
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.every_format import write_pose_folder
 from tests.helpers.outcome import Outcome
-from tests.helpers.packed import HALF_STEP, page_data, unpack
+from tests.helpers.packed import HALF_STEP, in_script, page_data, unpack
 
 Run = Callable[..., Outcome]
 
@@ -145,3 +148,51 @@ def test_films_and_strips(motionkit: Run, motion: mk.Motion, here: Path) -> None
     assert page.code == 2 and "goes with --format mp4 or gif" in page.stderr
     named = motionkit("view", "walk.npz", "--format", "gif", "--out", "film")
     assert named.code == 2 and "call it film.gif" in named.stderr
+
+
+ODD = 'it\'s "<b>", walk'
+
+
+@pytest.fixture
+def cards(motionkit: Run, motion: mk.Motion) -> list[dict[str, Any]]:
+    """A page of two motions of a folder `takes` in `store`; the name of one needs quotes everywhere."""
+    for name in (ODD, "jump"):
+        Path("takes").mkdir(exist_ok=True)
+        write_npz(replace(motion, sequence_id="", captions=(mk.Caption(name),)), Path("takes") / f"{name}.npz")
+    assert motionkit("ingest", "takes", "--store", "store").code == 0
+    outcome = motionkit("view", "store", "--page", "corpus.html")
+    assert outcome.code == 0 and outcome.stdout.startswith("corpus.html: 2 sequences"), outcome.stderr
+    shown: list[dict[str, Any]] = page_data(Path("corpus.html").read_text("utf-8"))["cards"]
+    return shown
+
+
+def test_cards_hold_native_frames_and_are_drawn(cards: list[dict[str, Any]], motion: mk.Motion) -> None:
+    for card in cards:
+        assert card["nativeFps"] == [30, 1] and card["fps"] == [10, 1] and card["numFrames"] == 20
+        np.testing.assert_allclose(unpack(card["positions"]), motion.joint_positions[::3], atol=HALF_STEP)
+    text = Path("corpus.html").read_text("utf-8")
+    assert "<b>" not in text and "https://" not in text and " src=" not in text
+    browser = shutil.which("chromium")
+    if browser is None:
+        pytest.skip("needs chromium, to run the page")
+    options = ("--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=2000", "--dump-dom")
+    address = Path("corpus.html").absolute().as_uri()
+    ran = subprocess.run([browser, *options, address], capture_output=True, text=True, check=True)
+    assert ran.stdout.count('class="card"') == 2 and "2 of 2 sequences" in ran.stdout and "&lt;b&gt;" in ran.stdout
+
+
+def test_what_is_marked_is_read_by_ingest_and_split(motionkit: Run, cards: list[dict[str, Any]]) -> None:
+    for text, number in (("JUMP person", 0), ("walk jump", 1), ("walk", 2)):
+        fields = {"text": text, "fps": "30/1", "longest": "3"}
+        assert sum(in_script(["marks.js"], "data[0].map((card) => isShown(card, data[1]))", [cards, fields])) == number
+    marked = [card for card in cards if ODD in card["name"]] * 2
+    ((source, table),) = in_script(["marks.js"], "tablesOf(data, 'split', 'val')", marked)
+    Path("marked.csv").write_text(table, "utf-8")
+    assert source == "takes" and table.count("\n") == 2
+    outcome = motionkit("ingest", "takes", "--store", "store", "--captions", "marked.csv", "--overwrite")
+    assert outcome.code == 0, outcome.stderr
+    assert dict(mk.Store.open("store").sequences[["sequence_id", "split"]].to_numpy())[marked[0]["name"]] == "val"
+    program, *words = shlex.split(in_script(["marks.js"], "splitCommand('store', 'test', data)", marked[:1]))
+    assert program == "motionkit" and motionkit(*words).code == 0
+    splits = dict(mk.Store.open("store").sequences[["sequence_id", "split"]].to_numpy())
+    assert [splits[card["name"]] for card in cards] == ["test" if card in marked else "" for card in cards]

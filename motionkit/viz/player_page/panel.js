@@ -108,7 +108,7 @@ function makePanel(data, number, isAlone, mark, changed) {
   }
   head.append(name, state);
   const fps = take.fps[0] / take.fps[1], exact = take.fps[1] === 1 ? "" : ` (${take.fps.join("/")})`;
-  const facts = [`${take.unevenSeconds ? "uneven, about " : ""}${rounded(fps, 3)} fps${exact}`, `${rounded(take.numFrames, 0)} frames`,
+  const facts = take.facts || [`${take.unevenSeconds ? "uneven, about " : ""}${rounded(fps, 3)} fps${exact}`, `${rounded(take.numFrames, 0)} frames`,
     `${rounded(endOf(take) - secondsOf(take, 0), 2)} s`, ...take.labels];
   caption.append(head, element("div", "facts", facts.join(" · ")));
   const lines = take.captions.map(([text]) => element("p", "", text));
@@ -220,6 +220,7 @@ function drawPanel(panel, seconds, settings, commonSize) {
     pen.arc(places[take.head][0], places[take.head][1], 0.05 * unit * places[take.head][2], 0, 7); pen.fill();
   }
   pen.globalAlpha = 1;
+  if (settings.plain) return;
   drawAxes(pen, height, yaw);
   pen.fillStyle = colour("--soft"); pen.textAlign = "right"; pen.textBaseline = "alphabetic"; pen.font = "12px system-ui, sans-serif";
   const level = take.ground ? `, drawn at y = ${take.ground.toFixed(2)} m` : "";

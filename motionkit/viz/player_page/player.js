@@ -31,7 +31,7 @@ function show() {
   drawTimeline(panels, marked, seconds);
   const { take } = panels[marked], held = frameAt(take, instantOf(take)), input = find("frame");
   if (document.activeElement !== input || playing) input.value = take.firstFrame + held.frame;
-  find("clock").textContent = `${seconds.toFixed(3)} s of ${page.end.toFixed(2)}`;
+  find("clock").replaceChildren(`${seconds.toFixed(3)} s`, element("span", "word", ` of ${page.end.toFixed(2)}`));
   timeline.canvas.setAttribute("aria-valuenow", seconds.toFixed(3));
   timeline.canvas.setAttribute("aria-valuetext", `${seconds.toFixed(2)} seconds`);
 }

@@ -2,14 +2,10 @@
 
 import dataclasses
 import html
-import json
 import re
-import shutil
-import subprocess
 import webbrowser
 from dataclasses import replace
 from fractions import Fraction
-from importlib import resources
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -22,13 +18,14 @@ from hypothesis import strategies as st
 import motionkit as mk
 from motionkit.core.kinematics import quaternion_rotate
 from motionkit.core.skeletons.mapping import rest_positions
+from motionkit.edit.motions import MotionSource
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.reports import summarise
 from motionkit.viz.corpus_card import corpus_card
 from motionkit.viz.player import Packed, Panel, drawing_of, pack, write_page
-from motionkit.viz.view import MOST_NOTEBOOK_BYTES
+from motionkit.viz.view import MOST_NOTEBOOK_BYTES, spread
 from tests.helpers.analytic import analytic_motion
-from tests.helpers.packed import HALF_STEP, page_data, unpack
+from tests.helpers.packed import HALF_STEP, in_script, page_data, unpack
 from tests.helpers.tiny import write_store
 
 
@@ -73,24 +70,7 @@ def test_positions_come_back_to_half_a_step(positions: np.ndarray) -> None:
     assert error <= packed["stepMetres"] / 2 + 2 * np.spacing(np.float32(np.abs(positions).max()))
 
 
-@pytest.fixture(scope="module")
-def node() -> str:
-    found = shutil.which("node")
-    if found is None:
-        pytest.skip("needs node, to run the page's script")
-    return found
-
-
-def in_script(node: str, scripts: list[str], expression: str, data: object) -> object:
-    """What an expression of `data` is to the page's own scripts."""
-    parts = resources.files("motionkit.viz") / "player_page"
-    code = "\n".join(parts.joinpath(name).read_text(encoding="utf-8") for name in scripts)
-    code += f'\nconst data = JSON.parse(require("fs").readFileSync(0));\nconsole.log(JSON.stringify({expression}));'
-    ran = subprocess.run([node, "-e", code], input=json.dumps(data), capture_output=True, text=True, check=True)
-    return json.loads(ran.stdout)
-
-
-def test_the_script_unpacks_the_same(node: str) -> None:
+def test_the_script_unpacks_the_same() -> None:
     examples: list[Packed] = []
 
     @settings(max_examples=60)
@@ -99,13 +79,13 @@ def test_the_script_unpacks_the_same(node: str) -> None:
         examples.append(pack(positions))
 
     collect()
-    answer = in_script(node, ["packing.js"], "data.map((each) => Array.from(unpack(each)))", examples)
+    answer = in_script(["packing.js"], "data.map((each) => Array.from(unpack(each)))", examples)
     assert isinstance(answer, list) and len(answer) == len(examples)
     for numbers, packed in zip(answer, examples, strict=True):
         np.testing.assert_allclose(np.float32(numbers), unpack(packed).ravel(), rtol=1e-6)
 
 
-def test_a_frame_is_held_until_the_next(node: str) -> None:
+def test_a_frame_is_held_until_the_next() -> None:
     """At every framerate the frame at an instant is the last that has begun; steps land on frames exactly."""
     takes = [
         {"fps": fps, "startSeconds": start, "numFrames": 50, "unevenSeconds": None}
@@ -116,7 +96,6 @@ def test_a_frame_is_held_until_the_next(node: str) -> None:
     takes.append({"fps": [10, 1], "startSeconds": uneven[0], "numFrames": 50, "unevenSeconds": uneven.tolist()})
     asked = [{"take": take, "at": [0, 0.4, 0.99]} for take in takes]
     answer = in_script(
-        node,
         ["clock.js"],
         """data.map(({ take, at }) => Array.from({ length: 50 }, (_, frame) => at.map((part) => {
             const next = frame < 49 ? secondsOf(take, frame + 1) : endOf(take), here = secondsOf(take, frame);
@@ -130,7 +109,7 @@ def test_a_frame_is_held_until_the_next(node: str) -> None:
     np.testing.assert_allclose(answers[:, :49, :, 1], np.broadcast_to([0, 0.4, 0.99], (len(takes), 49, 3)), atol=2e-3)
     assert not answers[:, 49, :, 1].any() and not answers[..., 2].any()
     beyond = "data.map(({ take }) => [frameAt(take, endOf(take)), frameAt(take, secondsOf(take, 0) - 0.01)])"
-    ends = in_script(node, ["clock.js"], beyond, asked)
+    ends = in_script(["clock.js"], beyond, asked)
     assert ends == [[{"frame": 49, "part": 0, "state": 1}, {"frame": 0, "part": 0, "state": -1}]] * len(takes)
 
 
@@ -276,3 +255,13 @@ def test_every_count_is_drawn_and_a_strangers_names_are_text(tmp_path: Path) -> 
         assert drawn and [each for each in drawn if each not in items] == []
     assert sum(source.durations.values()) == source.num_sequences
     assert article.startswith("<article") and "<html" not in article
+
+
+def test_panels_of_a_store_are_unlike_each_other_and_those_of_files_the_first() -> None:
+    kinds = [("30.0", "a", "walk")] * 5 + [("30.0", "a", "run"), ("120.0", "b", "walk"), ("30.0", "b", "sit")]
+    still = mk.Motion.from_joints(np.zeros((3, 22, 3)), 30)
+    sources = [replace(MotionSource.of(still), name=str(number), kind=kind) for number, kind in enumerate(kinds)]
+    assert [source.name for source in spread(sources, 3)] == ["0", "5", "6"]
+    assert spread(sources, 8) == sources == spread(sources, 20)
+    files = [replace(source, kind=()) for source in sources]
+    assert spread(files, 3) == files[:3]
