@@ -45,10 +45,9 @@ def test_a_result_says_where_it_comes_from_or_that_it_does_not(path: Path) -> No
 def test_readme_has_rows_of_the_table_of_the_real_captures() -> None:
     rows = {row.name: row.cells for row in read_result(ROOT / "docs/results/grown-pack-table2.json").blocks[0].rows}
     for shown, name in {
-        "the same people, half against half": "real, disjoint halves of the takes (P2)",
         "other real people (training takes)": "training takes, as a generator",
-        "NeRM, local latents (ours), planted": "NeRM, local latents (ours), planted",
-        "NeRM, planted, with `--detail`": "NeRM, local latents (ours), planted, with detail",
+        "NeRM, as `motionkit generate` writes it": "NeRM, local latents (ours), planted",
+        "NeRM with [`--detail`](docs/detail.md)": "NeRM, local latents (ours), planted, with detail",
     }.items():
         cells = [rows[name][column] for column in ("60 fps", "120 fps")]
         assert f"| {shown} | " + "".join(f"{cell.value:.2f} ± {cell.ci95:.2f} | " for cell in cells) in README
