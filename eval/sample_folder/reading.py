@@ -35,12 +35,12 @@ from motionkit.io.body_frame import (
     log_lines,
     to_y_up,
 )
-from motionkit.io.registry import ReadOptions, SourceItem
+from motionkit.io.registry import NAMED_VECTORS, ReadOptions, SourceItem
 from motionkit.io.scan import read, scan
 
 MANIFEST = "samples.toml"
 RAW, NORMALISED = "raw", "normalised"
-CHOICES = {"up": GIVEN_AXES, "statistics": (RAW, NORMALISED)}
+CHOICES = {"up": GIVEN_AXES, "statistics": (RAW, NORMALISED), "vectors": NAMED_VECTORS}
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,9 @@ class Manifest:
     """A folder's `samples.toml`; every key is optional if the files state it.
 
     `files` and `exclude` are globs below the folder. `fps` and `unit_metres` override the files; `up` is the vertical
-    axis. `statistics` is `raw` or `normalised` for pose vectors, `mean` and `std` the .npy files they were normalised
-    with. `prompts` is a text file whose line k (from 0) is the caption of group k.
+    axis. `vectors` names the layout of vectors whose width is not unique. `statistics` is `raw` or `normalised` for
+    263 or 251 numbers, `mean` and `std` the .npy files they were normalised with. `prompts` is a text file whose line k
+    (from 0) is the caption of group k.
     """
 
     files: tuple[str, ...] = ()
@@ -57,6 +58,7 @@ class Manifest:
     fps: Fraction | None = None
     unit_metres: float | None = None
     up: str = ""
+    vectors: str = ""
     statistics: str = ""
     mean: Path | None = None
     std: Path | None = None
@@ -117,7 +119,7 @@ def _value(key: str, value: Any, folder: Path) -> Any:
             for glob in globs:
                 PurePath().match(glob)  # raises ValueError for an empty one
             return tuple(globs)
-        case "up" | "statistics":
+        case "up" | "statistics" | "vectors":
             if value not in CHOICES[key]:
                 raise ValueError(f"expected {' or '.join(map(repr, CHOICES[key]))}")
             return value
@@ -380,7 +382,8 @@ def list_samples(name: str, source: Path) -> Listing:
     if not source.exists():
         raise SampleFolderError(f"--samples {name}: there is no folder {str(source)!r}")
     root = (source if source.is_dir() else source.parent).resolve()
-    manifest, scanned = read_manifest(root), scan([source])
+    manifest = read_manifest(root)
+    scanned = scan([source], ReadOptions(format=manifest.vectors or "auto"))
     exclude = (() if manifest.files else COPIES) if manifest.exclude is None else manifest.exclude
     dropped: Counter[str] = Counter()
 

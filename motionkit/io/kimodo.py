@@ -1,18 +1,22 @@
 """Kimodo's .npz: `posed_joints` [T, J, 3] in metres, y up, and `global_rot_mats` [T, J, 3, 3].
 
-Bodies are SOMA with 30 or 77 joints and SMPL-X with 22; files state neither joint names nor the framerate of 30 fps.
-`foot_contacts` and other arrays that can be computed from the joints are ignored. Source:
+Bodies are SOMA with 30 or 77 joints, SMPL-X with 22 and Unitree's G1 with 34; files state neither joint names nor the
+framerate of 30 fps. `foot_contacts` and other arrays that can be computed from the joints are ignored. Source:
 https://github.com/nv-tlabs/kimodo (skeleton/definitions.py).
 """
 
+import tomllib
 from dataclasses import replace
 from fractions import Fraction
+from functools import cache
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22, Feet, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import joint_rotations, npy, source_file
@@ -34,30 +38,81 @@ FINGERS = (
 )
 
 
-def _soma(name: str, trunk: tuple[str, ...], arm: tuple[str, ...], leg: tuple[str, ...]) -> Skeleton:
-    limbs = (chain.replace("*", side) for limb in (arm, leg) for side in ("Left", "Right") for chain in limb)
-    parent_of = {"Hips": ""}
-    for chain in (*trunk, *limbs):
+def _both(*limbs: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(chain.replace("*", side) for limb in limbs for side in ("Left", "Right") for chain in limb)
+
+
+def skeleton_of_chains(
+    name: str, chains: tuple[str, ...], ankle: str = "LeftFoot", toe: str = "LeftToeBase"
+) -> Skeleton:
+    """A skeleton without bone lengths, of chains of joints, each the parent of the next; right joints mirror left ones.
+
+    >>> skeleton_of_chains("legs", ("Hips LeftFoot LeftToeBase", "Hips RightFoot RightToeBase")).parents
+    (-1, 0, 1, 0, 3)
+    """
+    parent_of = {chains[0].split()[0]: ""}
+    for chain in chains:
         joints = chain.split()
         parent_of.update(zip(joints[1:], joints[:-1], strict=True))
     names = tuple(parent_of)
-    lefts = [joint for joint in names if joint.startswith("Left")]
+    lefts = [joint for joint in names if joint.lower().startswith("left")]
+    right = {left: names.index(left.replace("Left", "Right").replace("left", "right")) for left in lefts}
     return Skeleton(
         name=name,
         joint_names=names,
         parents=tuple(names.index(parent) if parent else -1 for parent in parent_of.values()),
         offsets=np.zeros((len(names), 3), np.float32),
-        left_right_pairs=tuple((names.index(joint), names.index(f"Right{joint[4:]}")) for joint in lefts),
-        feet=Feet(*(names.index(joint) for joint in ("LeftFoot", "LeftToeBase", "RightFoot", "RightToeBase"))),
+        left_right_pairs=tuple((names.index(left), right[left]) for left in lefts),
+        feet=Feet(names.index(ankle), names.index(toe), right[ankle], right[toe]),
     )
+
+
+# ARDY's Core skeleton: chains in the order of its joints, the right side first.
+CORE27 = skeleton_of_chains(
+    "ardy-core27",
+    (
+        "Hips Spine Spine1 Spine2 Spine3 Neck Head",
+        "Spine3 RightShoulder RightArm RightForeArm RightHand RightHandEnd",
+        "RightHand RightHandThumb1",
+        "Spine3 LeftShoulder LeftArm LeftForeArm LeftHand LeftHandEnd",
+        "LeftHand LeftHandThumb1",
+        "Hips RightUpLeg RightLeg RightFoot RightToeBase",
+        "Hips LeftUpLeg LeftLeg LeftFoot LeftToeBase",
+    ),
+)
+
+
+@cache
+def g1() -> tuple[Skeleton, Float32[np.ndarray, "34 4"], Float32[np.ndarray, "34 3"]]:
+    """Unitree G1's 34 joints with bones, their fixed rotations and hinge axes (0: none); metres, z up, x forward.
+
+    The table is motionkit/core/skeletons/g1.toml.
+    """
+    file = resources.files("motionkit.core.skeletons") / "g1.toml"
+    table = tomllib.loads(file.read_text(encoding="utf-8"))
+    limbs = (("leg", 1, "left_"), ("leg", -1, "right_"), ("waist", 1, ""), ("arm", 1, "left_"), ("arm", -1, "right_"))
+    chains, rows = [], [[0.0, 0, 0, 1, 0, 0, 0, 0, 0, 0]]
+    for limb, mirror, side in limbs:
+        names = [side + joint["name"] for joint in table[limb]]
+        chains.append(" ".join(("waist_pitch_skel" if limb == "arm" else "pelvis_skel", *names)))
+        for joint in table[limb]:
+            turn = np.array(joint.get("turn", (1, 0, 0, 0))) * (1, mirror, 1, mirror)
+            axis = [float(name == joint.get("axis")) for name in "xyz"]
+            rows.append([*np.array(joint["offset"]) * (1, mirror, 1), *turn, *axis])
+    numbers = np.array(rows, np.float32)
+    skeleton = skeleton_of_chains("g1skel34", tuple(chains), "left_ankle_roll_skel", "left_toe_base")
+    return replace(skeleton, offsets=numbers[:, :3]), numbers[:, 3:7], numbers[:, 7:]
 
 
 SKELETONS = {
     each.num_joints: each
     for each in (
         SMPL22,
-        _soma("somaskel30", (*SPINE, *FACE), (*ARM, *STUMPS), LEG),
-        _soma("somaskel77", (*SPINE, "Head HeadEnd", *FACE), (*ARM, *FINGERS), (*LEG, "*ToeBase *ToeEnd")),
+        skeleton_of_chains("somaskel30", (*SPINE, *FACE, *_both((*ARM, *STUMPS), LEG))),
+        g1()[0],
+        skeleton_of_chains(
+            "somaskel77", (*SPINE, "Head HeadEnd", *FACE, *_both((*ARM, *FINGERS), (*LEG, "*ToeBase *ToeEnd")))
+        ),
     )
 }
 
@@ -65,7 +120,7 @@ SKELETONS = {
 def read_kimodo(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one file: positions, and local rotations if they reproduce these with bones of constant length.
 
-    Raises `FormatError` (`channel-count`) for another number of joints, such as the robot's 34.
+    Raises `FormatError` (`channel-count`) for another number of joints.
     """
     data = source_file.read_bytes(path)
     archive = npy.open_archive(path, data)

@@ -39,7 +39,7 @@ PLACES, TURNS = slice(8, 8 + 3 * JOINTS), slice(8 + 6 * JOINTS, 8 + 12 * JOINTS)
 SMALLEST_CROSS = 1e-6
 
 
-def _width(head: FileHead) -> int:
+def width_of(head: FileHead) -> int:
     """Numbers a row of [T, D], or of [1, T, D], the batch of one that models save; 0 for other arrays."""
     match head.array_shape:
         case (_, width) | (1, _, width):
@@ -49,7 +49,7 @@ def _width(head: FileHead) -> int:
 
 def accepts(head: FileHead) -> bool:
     """Whether a .npy file holds rows of 263 or 251 numbers."""
-    return _width(head) in LAYOUT_BY_WIDTH
+    return width_of(head) in LAYOUT_BY_WIDTH
 
 
 def _is_interhuman(shape: tuple[int, ...]) -> bool:
@@ -79,7 +79,7 @@ def read_pose_vectors(path: Path, options: ReadOptions = ReadOptions()) -> Motio
     positions = humanml3d.recover_positions(vectors, layout.skeleton.num_joints)
     positions = positions * np.float32(options.unit_metres or layout.unit_metres)
     line = f"joint positions recovered from {layout.num_values}-number pose vectors"
-    return _motion(path, data, positions, layout.skeleton, layout.fps, layout.name, options, line)
+    return motion_of(path, data, positions, layout.skeleton, layout.fps, layout.name, options, line)
 
 
 def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
@@ -93,7 +93,7 @@ def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
     start = INTERHUMAN_WIDTH * PERSONS.index(item.key) if item.key else 0
     positions = rows[:, start : start + 3 * JOINTS].reshape(len(rows), JOINTS, 3)
     positions, lines = upright(SMPL22, positions * np.float32(options.unit_metres or 1.0), options.up)
-    return _motion(path, data, positions, SMPL22, FPS, "interhuman", options, *lines)
+    return motion_of(path, data, positions, SMPL22, FPS, "interhuman", options, *lines)
 
 
 def read_motionstreamer(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
@@ -114,7 +114,7 @@ def read_motionstreamer(path: Path, options: ReadOptions = ReadOptions()) -> Mot
     local = _matrices(values[:, TURNS].reshape(len(values), JOINTS, 2, 3), path)
     local[:, 0] = kinematics.quaternion_to_matrix(back) @ local[:, 0]
     positions = positions.astype(np.float32) * np.float32(options.unit_metres or 1.0)
-    motion = _motion(path, data, positions, SMPL22, FPS, "motionstreamer", options)
+    motion = motion_of(path, data, positions, SMPL22, FPS, "motionstreamer", options)
     return joint_rotations.with_rotations(motion, local)
 
 
@@ -134,7 +134,7 @@ def _matrices(rows: Float64[np.ndarray, "frames joints 2 3"], path: Path) -> Flo
     return np.asarray(kinematics.closest_rotations(rows.reshape(len(rows), -1)).swapaxes(-1, -2))
 
 
-def _motion(
+def motion_of(
     path: Path,
     data: bytes,
     positions: Positions,
@@ -144,6 +144,7 @@ def _motion(
     options: ReadOptions,
     *operations: str,
 ) -> Motion:
+    """The motion of positions that vectors gave; raises `FormatError` (`unit`) for bodies of no person's size."""
     metres = body_frame.standing_metres(skeleton, positions)
     if not body_frame.is_plausible(metres):
         message = f"these vectors make a body of {metres:.3g} m from ankle to head: multiply normalised ones by the "
@@ -173,5 +174,5 @@ MOTIONSTREAMER_FORMAT = Format(
     name="motionstreamer",
     read=of_path(read_motionstreamer),
     suffixes=(".npy",),
-    accepts=lambda head: _width(head) == MOTIONSTREAMER_WIDTH,
+    accepts=lambda head: width_of(head) == MOTIONSTREAMER_WIDTH,
 )

@@ -204,7 +204,8 @@ class _BuiltIn:
     """What is known of a format before its module is loaded.
 
     `suffixes` are those of the files that it reads, whose names without suffix match `stem` in any case; a folder may
-    be of a folder format if it has an entry that matches one of the patterns `holds`.
+    be of a folder format if it has an entry that matches one of the patterns `holds`. Files of another format may look
+    like those of one `by_name`, which is not tried unless it is named.
     """
 
     name: str
@@ -214,13 +215,17 @@ class _BuiltIn:
     stem: str = ".*"
     holds: tuple[str, ...] = ()
     writes: bool = False
+    by_name: bool = False
 
     def load(self) -> Format:
-        found: Format = getattr(import_module(f"motionkit.io.{self.module}"), self.variable)
-        return found
+        found = getattr(import_module(f"motionkit.io.{self.module}"), self.variable)
+        loaded: Format = found[self.name] if isinstance(found, dict) else found
+        return loaded
 
 
 _POSE_FOLDERS = ("new_joints", "new_joint_vecs")
+# ViMoGen's vectors have DART's width, and FlowMDM's of BABEL that of motion-135.
+NAMED_VECTORS = ("motion-135", "dart-276", "vimogen-276")
 # The first that accepts a file reads it.
 _BUILT_IN = (
     _BuiltIn("lafan1", "bvh_data_sets", "LAFAN1_FORMAT", suffixes=(".bvh",), stem=r".*_subject\d+"),
@@ -243,6 +248,10 @@ _BUILT_IN = (
     _BuiltIn("pose-vectors", "pose_vectors", suffixes=(".npy",)),
     _BuiltIn("interhuman", "pose_vectors", "INTERHUMAN_FORMAT", suffixes=(".npy",)),
     _BuiltIn("motionstreamer", "pose_vectors", "MOTIONSTREAMER_FORMAT", suffixes=(".npy",)),
+    *(
+        _BuiltIn(name, "vector_layouts", "FORMATS", suffixes=(".npy",), by_name=name in NAMED_VECTORS)
+        for name in ("hymotion-201", "ardy-330", "ardy-g1-414", "g1-38", *NAMED_VECTORS)
+    ),
     _BuiltIn("csv", "joints_csv", suffixes=(".csv",), writes=True),
     _BuiltIn("robot-csv", "robot_csv", writes=True),
     _BuiltIn("gltf", "gltf", suffixes=(".glb",), writes=True),
@@ -286,6 +295,8 @@ def recognise(head: FileHead, name: str = "auto") -> Format | None:
     def candidates() -> Iterator[Format]:
         yield from (each for each in _installed() if suffix in each.suffixes and each.read is not None)
         for each in _BUILT_IN:
+            if each.by_name and name == "auto":
+                continue
             if suffix in each.suffixes and re.fullmatch(each.stem, head.path.stem, re.DOTALL | re.IGNORECASE):
                 yield reader_of(each.name)
 

@@ -52,3 +52,41 @@ def motionstreamer_rows(motion: Motion) -> np.ndarray:
         rows[frame, 2:8] = (seen_from[frame] * seen_from[frame - 1].inv()).as_matrix()[:2].ravel()
         rows[frame, 74:140] = (places[-1] - places[-2]).ravel()
     return rows
+
+
+def hymotion_rows(motion: Motion, rest_pelvis: np.ndarray) -> np.ndarray:
+    """[T, 201]: translation, local rotations as interleaved columns, joints from the pelvis."""
+    rows = []
+    for joints, turns in zip(motion.joint_positions, motion.local_rotations, strict=True):
+        sixes = [[_matrix(turn)[row, column] for row in range(3) for column in (0, 1)] for turn in turns]
+        rows.append(np.concatenate([joints[0] - rest_pelvis, np.ravel(sixes), (joints - joints[0]).ravel()]))
+    return np.array(rows, np.float32)
+
+
+def dart_rows(motion: Motion, *, vimogen: bool = False) -> np.ndarray:
+    """[T − 1, 276], z up: DART's order of the same blocks, or ViMoGen's."""
+    up = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    world = motion.joint_positions @ up.T
+    rows = []
+    for frame in range(motion.num_frames - 1):
+        now, after = ([_matrix(turn) for turn in motion.local_rotations[at]] for at in (frame, frame + 1))
+        now[0], after[0] = up @ now[0], up @ after[0]
+        sixes = np.concatenate([matrix[:2].ravel() for matrix in now])
+        turned = (after[0] @ now[0].T)[:2].ravel()
+        joints, steps = world[frame].ravel(), (world[frame + 1] - world[frame]).ravel()
+        if vimogen:
+            blocks = [sixes[6:], joints, steps, sixes[:6], turned, joints[:3], steps[:3]]
+        else:
+            blocks = [joints[:3], sixes, steps[:3], turned, joints, steps]
+        rows.append(np.concatenate(blocks))
+    return np.array(rows, np.float32)
+
+
+def ardy_rows(positions: np.ndarray, world: np.ndarray) -> np.ndarray:
+    """[T, 5 + 12·J − 3 + 4] of positions [T, J, 3] and world rotations [T, J, 3, 3]; heading, velocities are zeros."""
+    rows = []
+    for joints, matrices in zip(positions, world, strict=True):
+        level = joints[1:] - joints[0] * [1, 0, 1]
+        columns = [np.concatenate([matrix[:, 0], matrix[:, 1]]) for matrix in matrices]
+        rows.append(np.concatenate([joints[0], [1, 0], level.ravel(), *columns, np.zeros(3 * len(joints) + 4)]))
+    return np.array(rows, np.float32)

@@ -147,9 +147,10 @@ def draft_map(skeleton: Skeleton, name: str) -> str:
     """A table for `read_skeleton_map` as TOML text, of joint names that shipped families have, to be completed."""
     names = canonical_names(skeleton.joint_names)
     sources: dict[str, str] = {}
+    known = [({family.aliases.get(name, name): name for name in names}, family.rows) for family in shipped_families()]
     for row in SMPL22.joint_names:
-        ways = (way for family in shipped_families() for way in family.rows[row])
-        sources[row] = next((joint for way in ways for joint in way if len(way) == 1 and joint in names), "")
+        ways = ((joint, named) for named, rows in known for way in rows[row] for joint in way if len(way) == 1)
+        sources[row] = next((named[joint] for joint, named in ways if joint in named), "")
     requires = json.dumps(list(dict.fromkeys(filter(None, sources.values()))))
     lines = [f'{row} = "{joint}"' if joint else f'# {row} = ""' for row, joint in sources.items()]
     head = "# Drafted from joint names: correct it, and complete the rows that begin with #."

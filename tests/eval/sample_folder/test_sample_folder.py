@@ -14,6 +14,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.moments import moments
 from motionkit.features.layout import vector_layout
 from tests.helpers import published_layouts as published
+from tests.helpers.vector_samples import dart_rows, walk
 
 JOINTS = published.motions()[0]
 BROKEN = JOINTS.copy()
@@ -277,6 +278,16 @@ def test_statistics_that_do_not_fit_are_refused(
     tmp_path: Path, of: str, restore_with: str, manifest: str, message: str
 ) -> None:
     assert message in fault(vectors_in(tmp_path, of, restore_with, manifest))
+
+
+def test_vectors_of_a_shared_width_are_named(tmp_path: Path) -> None:
+    motion = walk()
+    folder = folder_of(tmp_path, "fps = 30", a=dart_rows(motion))
+    assert 'vectors = "motion-135"' in fault(folder)
+    (folder / "samples.toml").write_text('fps = 30\nvectors = "dart-276"')
+    samples = read(folder)
+    assert samples.fps == (Fraction(30),)
+    np.testing.assert_allclose(samples.sequences[0], motion.joint_positions[:-1], atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -263,3 +263,16 @@ def test_every_real_skeleton_becomes_a_human_body(captures: Path, source: str) -
     items = [item for item in scan([captures / source]).items if "animated_drawings" not in item.sequence_id]
     for item in items[:: max(1, len(items) // 12)]:
         check_body(read(item, ReadOptions(fps=parse_fps(120))))
+
+
+def test_hips_under_buttocks_are_mapped_and_drafted() -> None:
+    """MocapNET's names: rhip hangs under rbuttock, and the knee is called so."""
+    skeleton = body(
+        ("l", "r"),
+        "hip *buttock *hip *knee *foot",
+        "hip abdomen chest *collar *shoulder *elbow *hand",
+        "chest neck head",
+    )
+    weights = joint_map(skeleton, "smpl22").weights
+    assert weights[mk.SMPL22.index("right_hip"), skeleton.index("rhip")] == 1
+    assert 'right_knee = "rknee"' in draft_map(skeleton, "mine")

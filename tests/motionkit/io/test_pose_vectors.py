@@ -1,10 +1,12 @@
-"""HumanML3D's folders, and pose vectors of four conventions in files of their own, against encoders written apart."""
+"""HumanML3D's folders, and pose vectors of ten conventions in files of their own, against encoders written apart."""
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import motionkit as mk
 from motionkit.core import kinematics
@@ -12,12 +14,14 @@ from motionkit.core.motion import Caption
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import humanml3d
 from motionkit.io.humanml3d import KIT, Entry, recover_positions
+from motionkit.io.kimodo import CORE27, g1
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import read, scan
+from motionkit.io.smpl_body import mean_shape_skeleton
 from motionkit.io.texts import read_texts
 from tests.helpers.every_format import write_pose_folder
 from tests.helpers.refusal import refusal
-from tests.helpers.vector_samples import interhuman_rows, motionstreamer_rows, walk
+from tests.helpers.vector_samples import ardy_rows, dart_rows, hymotion_rows, interhuman_rows, motionstreamer_rows, walk
 
 
 def test_recovery_reproduces_the_published_joints(golden_humanml3d: Path) -> None:
@@ -191,3 +195,76 @@ def test_what_is_wrong_with_vectors_is_reported(tmp_path, motion, width, change,
     }[width]()
     assert rows.shape[1] == width
     assert refusal(_read, tmp_path / "bad.npy", change(rows)).reason == reason
+
+
+def test_hymotion_and_motion135(tmp_path: Path) -> None:
+    rest = mean_shape_skeleton()
+    source = walk()
+    joints = kinematics.forward_kinematics(source.local_rotations, source.root_translation, rest)
+    motion = mk.Motion(joints, rest, source.timegrid, local_rotations=source.local_rotations)
+    rows = hymotion_rows(motion, rest.offsets[0])
+    for width, options in ((201, {}), (135, {"format": "motion-135"})):
+        np.save(tmp_path / f"{width}.npy", rows[:, :width])
+        (item,) = scan([tmp_path / f"{width}.npy"], ReadOptions(**options)).items
+        found = read(item)
+        assert found.fps == 30
+        np.testing.assert_allclose(found.joint_positions, joints, atol=1e-5)
+        again = kinematics.forward_kinematics(found.local_rotations, found.root_translation, found.skeleton)
+        np.testing.assert_allclose(again, joints, atol=1e-4)
+
+
+@pytest.mark.parametrize("vimogen", [False, True])
+def test_dart_and_vimogen_share_a_width(tmp_path: Path, motion: mk.Motion, vimogen: bool) -> None:
+    np.save(tmp_path / "a.npy", dart_rows(motion, vimogen=vimogen))
+    assert not scan([tmp_path]).items, "276 numbers may be either"
+    name = "vimogen-276" if vimogen else "dart-276"
+    (item,) = scan([tmp_path], ReadOptions(format=name)).items
+    assert refusal(read, item).reason == "no-framerate"
+    found = read(item, ReadOptions(fps=Fraction(30)))
+    np.testing.assert_allclose(found.joint_positions, motion.joint_positions[:-1], atol=1e-5)
+    if not vimogen:
+        same = np.sum(found.local_rotations * motion.local_rotations[:-1], axis=-1)
+        np.testing.assert_allclose(abs(same), 1, atol=1e-5)
+
+
+def test_ardy(tmp_path: Path, motion: mk.Motion) -> None:
+    offsets = np.tile([0.0, -0.4, 0.0], (27, 1))
+    offsets[1:7, 1] = 0.12
+    body = replace(CORE27, offsets=offsets.astype(np.float32))
+    turns = Rotation.from_rotvec(np.random.default_rng(0).uniform(-0.3, 0.3, (540, 3)))
+    local = turns.as_quat(scalar_first=True).reshape(20, 27, 4)
+    places = kinematics.forward_kinematics(local, motion.joint_positions[:20, 0], body)
+    world = kinematics.quaternion_to_matrix(kinematics.global_rotations(local, body))
+    found = _read(tmp_path / "a.npy", ardy_rows(places, world))
+    assert found.fps == 20 and found.skeleton.joint_names == CORE27.joint_names
+    np.testing.assert_allclose(found.joint_positions, places, atol=1e-5)
+    np.testing.assert_allclose(abs(np.sum(found.local_rotations * local, axis=-1)), 1, atol=1e-5)
+
+
+def test_unitree_g1_stands_as_its_model_does(tmp_path: Path) -> None:
+    """The reference walks the tree link by link with scipy, in MuJoCo's frame."""
+    rng, (skeleton, turns, axes) = np.random.default_rng(0), g1()
+    hinges = np.flatnonzero(axes.any(axis=1)).tolist()
+    assert len(hinges) == 29
+    rows = np.zeros((6, 38), np.float32)
+    rows[1:, :2], rows[:, 2], rows[:, 9:] = 0.02, 0.76, rng.uniform(-0.4, 0.4, (6, 29))
+    heading = Rotation.from_rotvec([0.1, 0.0, 0.7])
+    rows[:, 3:9] = heading.as_matrix()[:, :2].ravel()
+    expected = np.zeros((6, 34, 3))
+    for frame in range(6):
+        frames = [heading]
+        expected[frame, 0] = [0.02 * frame, 0.02 * frame, 0.76]
+        for joint in range(1, 34):
+            above = skeleton.parents[joint]
+            expected[frame, joint] = expected[frame, above] + frames[above].apply(skeleton.offsets[joint])
+            angle = rows[frame, 9 + hinges.index(joint)] if joint in hinges else 0.0
+            own = Rotation.from_quat(turns[joint], scalar_first=True) * Rotation.from_rotvec(angle * axes[joint])
+            frames.append(frames[above] * own)
+    found = _read(tmp_path / "a.npy", rows)
+    np.testing.assert_allclose(found.joint_positions[..., [0, 2, 1]] * [1, -1, 1], expected, atol=1e-5)
+    # The published model stands with its pelvis 0.793 m above the floor.
+    zero = _read(tmp_path / "zero.npy", np.eye(1, 38, 3, dtype=np.float32) + np.eye(1, 38, 6, dtype=np.float32))
+    assert zero.joint_positions[0, skeleton.index("right_toe_base"), 1] == pytest.approx(-0.793, abs=2e-3)
+    assert map_joints(zero, "smpl22").shape == (1, 22, 3)
+    np.savez(tmp_path / "kimodo.npz", posed_joints=found.joint_positions)
+    assert mk.read(tmp_path / "kimodo.npz").skeleton.joint_names == skeleton.joint_names

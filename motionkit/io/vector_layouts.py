@@ -1,0 +1,148 @@
+"""Pose vectors of models of 2024 to 2026, in .npy files: one table of layouts and one decoder.
+
+HY-Motion: root translation, local rotations, joints relative to the pelvis (https://github.com/Tencent-Hunyuan/
+HY-Motion-1.0, hymotion/pipeline/motion_diffusion.py; body_model.py for the pelvis at translation + J₀). motion-135 is
+its first 135 numbers. DART: translation, local rotations, changes of both, joints, their steps
+(https://github.com/zkf1997/DART, utils/smpl_utils.py). ViMoGen's have other slices of the same width, ARDY's are root,
+heading, joints, global rotations, velocities, contacts, and Motius' G1 root steps and height, root rotation, 29 angles
+(https://github.com/ZeyuLing/Motius, docs/motion/representations.md, motius/motion/representation, models/ardy).
+"""
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float32, Float64
+from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.io import body_frame, joint_rotations, joints_npy, npy, pose_vectors, source_file
+from motionkit.io.kimodo import CORE27, g1
+from motionkit.io.registry import Format, ReadOptions, of_path
+from motionkit.io.smpl_body import mean_shape_skeleton
+
+Matrices = Float64[np.ndarray, "frames joints 3 3"]
+
+
+@dataclass(frozen=True)
+class VectorLayout:
+    """Where a vector of `width` numbers has its positions (metres) and rotations, by the slices' first numbers.
+
+    `joints` (None: rotations on SMPL's mean shape give them) are relative to the pelvis ("root"), to its place on the
+    floor, without the pelvis ("floor"), or to nothing ("world"). `rotations` (None: not read) are relative
+    to the parent, or to the world if `is_global`: the first two "rows" or "columns" of a matrix one after the other, or
+    "pairs", the columns' numbers in turn. `fps` is None if models of several framerates share the layout.
+    """
+
+    name: str
+    width: int
+    fps: Fraction | None
+    skeleton: Skeleton = SMPL22
+    up: str = "y"
+    joints: int | None = None
+    relative_to: Literal["root", "floor", "world"] = "world"
+    rotations: int | None = None
+    form: Literal["rows", "columns", "pairs"] = "pairs"
+    is_global: bool = False
+
+
+LAYOUTS = (
+    VectorLayout("hymotion-201", 201, Fraction(30), joints=135, relative_to="root", rotations=3),
+    VectorLayout("motion-135", 135, Fraction(30), rotations=3),
+    VectorLayout("dart-276", 276, None, up="z", joints=144, rotations=3, form="rows"),
+    VectorLayout("vimogen-276", 276, None, up="z", joints=126),
+    VectorLayout("ardy-330", 330, Fraction(20), CORE27, "y", 5, "floor", 83, "columns", is_global=True),
+    VectorLayout("ardy-g1-414", 414, None, g1()[0], joints=5, relative_to="floor"),
+    VectorLayout("g1-38", 38, Fraction(30), g1()[0], up="z", rotations=3),
+)
+
+
+def matrices_of(sixes: Float32[np.ndarray, "frames numbers"], form: str) -> Matrices:
+    """Rotation matrices of 6 numbers a joint in one of `VectorLayout`'s forms, by Gram-Schmidt."""
+    if form == "pairs":
+        sixes = sixes.reshape(len(sixes), -1, 3, 2).swapaxes(-1, -2).reshape(sixes.shape)
+    matrices = kinematics.closest_rotations(sixes)
+    # The rows of a matrix are the columns of its inverse.
+    return np.asarray(matrices.swapaxes(-1, -2)) if form == "rows" else matrices
+
+
+def read_vectors(path: Path, options: ReadOptions, layout: VectorLayout) -> Motion:
+    """Read one file as positions in metres, y up, and local rotations if these reproduce the positions.
+
+    Raises `FormatError`: `no-framerate` where the layout has none, `unit` for normalised vectors.
+    """
+    data = source_file.read_bytes(path)
+    values = npy.read_npy(path, data, None, fill_missing=options.fill_missing)
+    values = values.reshape(-1, values.shape[-1])
+    usual = layout.fps or options.fps or joints_npy.read_manifest(joints_npy.manifest_of(path)).fps
+    if usual is None:
+        message = f"{layout.name} vectors have no framerate; give --fps (DART: 30 on BABEL, 20 on HumanML3D)"
+        raise FormatError(message, path=path, reason="no-framerate")
+    skeleton, matrices = layout.skeleton, None
+    if layout.name == "g1-38":
+        positions = _g1_positions(values)
+    else:
+        if layout.rotations is not None:
+            first = layout.rotations
+            matrices = matrices_of(values[:, first : first + 6 * skeleton.num_joints], layout.form)
+        positions = _positions(values, layout, matrices)
+    if matrices is not None and layout.is_global:
+        local = np.matmul(matrices[:, skeleton.parents_or_self].swapaxes(-1, -2), matrices)
+        local[:, 0] = matrices[:, 0]
+        matrices = local
+    if skeleton is not SMPL22:
+        skeleton = replace(skeleton, offsets=positions[0] - positions[0, skeleton.parents_or_self])
+    positions = positions * np.float32(options.unit_metres or 1.0)
+    up = options.up or layout.up
+    lines = body_frame.log_lines(up, options.up)
+    motion = pose_vectors.motion_of(path, data, positions, skeleton, usual, layout.name, options, *lines)
+    return body_frame.turned(motion if matrices is None else joint_rotations.with_rotations(motion, matrices), up)
+
+
+def _positions(
+    values: Float32[np.ndarray, "frames numbers"], layout: VectorLayout, matrices: Matrices | None
+) -> Float32[np.ndarray, "frames joints 3"]:
+    frames, num_joints = len(values), layout.skeleton.num_joints
+    # SMPL's pelvis rests at J₀; ARDY's root is the pelvis itself.
+    root = values[:, None, :3] + mean_shape_skeleton().offsets[0] * (layout.relative_to != "floor")
+    if layout.joints is None:
+        assert matrices is not None
+        rotations = kinematics.matrix_to_quaternion(matrices)
+        return kinematics.forward_kinematics(rotations, root[:, 0], mean_shape_skeleton()).astype(np.float32)
+    count = num_joints - (layout.relative_to == "floor")
+    joints = values[:, layout.joints : layout.joints + 3 * count].reshape(frames, count, 3)
+    match layout.relative_to:
+        case "root":
+            joints = joints + root
+        case "floor":
+            joints = np.concatenate((root, joints + root * (1, 0, 1)), axis=1)
+    return joints.astype(np.float32)
+
+
+def _g1_positions(values: Float32[np.ndarray, "frames 38"]) -> Float32[np.ndarray, "frames 34 3"]:
+    """Positions by forward kinematics, z up: steps in x and y, height, root rotation (pairs), 29 angles in radians."""
+    skeleton, turns, axes = g1()
+    root = values[:, :3].copy()
+    root[:, :2] = np.cumsum(values[:, :2], axis=0)
+    angles = np.zeros((len(values), skeleton.num_joints, 1), np.float32)
+    angles[:, axes.any(axis=1), 0] = values[:, 9:]
+    rotations = kinematics.quaternion_multiply(turns, kinematics.rotation_vector_to_quaternion(angles * axes))
+    rotations[:, :1] = kinematics.matrix_to_quaternion(matrices_of(values[:, 3:9], "pairs"))
+    return kinematics.forward_kinematics(rotations, root, skeleton).astype(np.float32)
+
+
+FORMATS = {
+    layout.name: Format(
+        name=layout.name,
+        read=of_path(partial(read_vectors, layout=layout)),
+        suffixes=(".npy",),
+        accepts=lambda head, width=layout.width: pose_vectors.width_of(head) == width,  # type: ignore[misc]
+        turns_up=True,
+    )
+    for layout in LAYOUTS
+}
