@@ -27,20 +27,16 @@ from motionkit.data.windows import chunks
 from motionkit.features import field
 from motionkit.store.cache import PositionCache, open_cache
 from motionkit.training.loop import (
-    ALONE,
     CheckpointError,
     Learner,
-    Ranks,
-    autocast,
     foreign_tensors,
     prefixed,
     read_foreign,
-    resolve_device,
     run_training,
     save_tensors,
     seeded_initialisation,
-    with_precision_of,
 )
+from motionkit.training.networks import ALONE, Ranks, autocast, resolve_device, with_precision_of
 from motionkit.training.run import StageContext
 from nerm.recipes import CodebookConfig, CodebookNetworkConfig, NermConfig
 

@@ -16,25 +16,19 @@ from motionkit.core.shapes import Float32
 from motionkit.data.captions import actions_of_windows, captions_of_windows
 from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
-from motionkit.training.loop import (
-    ALONE,
-    Learner,
-    Ranks,
-    autocast,
-    dropout_from,
-    resolve_device,
-    run_training,
-    seeded_initialisation,
-    step_generator,
-    with_precision_of,
-)
+from motionkit.training.loop import Learner, dropout_from, run_training, seeded_initialisation, step_generator
 from motionkit.training.networks import (
+    ALONE,
+    Ranks,
     WindowConditions,
     add_noise,
+    autocast,
     cumulative_alphas,
     prediction_target,
     reparameterized,
+    resolve_device,
     window_conditions,
+    with_precision_of,
 )
 from motionkit.training.run import RunError, StageContext
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder

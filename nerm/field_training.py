@@ -34,21 +34,17 @@ from motionkit.data.windows import (
 from motionkit.features.convention import PoseVectors
 from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
-from motionkit.training.loop import (
+from motionkit.training.loop import Learner, load_tensors, prefixed, run_training, seeded_initialisation, step_generator
+from motionkit.training.networks import (
     ALONE,
     DealtRows,
-    Learner,
     Ranks,
     autocast,
-    load_tensors,
-    prefixed,
+    kl_divergence,
+    measure_scaling,
     resolve_device,
-    run_training,
-    seeded_initialisation,
-    step_generator,
     with_precision_of,
 )
-from motionkit.training.networks import kl_divergence, measure_scaling
 from motionkit.training.run import RunError, RunFolder, StageContext
 from nerm.latents import first_read, in_use, linear_model, measured_space
 from nerm.model import TrainedField, save_field

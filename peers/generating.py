@@ -25,8 +25,17 @@ from motionkit.fields.motion_field import MotionField, Observation
 from motionkit.generate.models import GenerationRequest, SamplingOptions
 from motionkit.training import loop
 from motionkit.training.config import DiffusionConfig, Precision, Schedule, from_plain, specialised, to_plain
-from motionkit.training.loop import autocast, resolve_device, step_generator, with_precision_of
-from motionkit.training.networks import Conditions, ConditionSizes, VectorScaling, vector_tensors, vectors_of
+from motionkit.training.loop import step_generator
+from motionkit.training.networks import (
+    Conditions,
+    ConditionSizes,
+    VectorScaling,
+    autocast,
+    resolve_device,
+    vector_tensors,
+    vectors_of,
+    with_precision_of,
+)
 from motionkit.training.run import RunError, RunFolder, Stage, StageContext
 from motionkit.training.text import TextEncoder, load_same_encoder
 from peers.layers import NetworkInputs, PeerNetwork, TransformerSizes

@@ -26,14 +26,8 @@ from motionkit.core.timegrid import parse_fps
 from motionkit.fields.resample import resample_positions
 from motionkit.store.cache import cache_root, open_cache
 from motionkit.training.config import to_plain
-from motionkit.training.loop import (
-    Learner,
-    dropout_from,
-    resolve_device,
-    run_training,
-    save_tensors,
-    seeded_initialisation,
-)
+from motionkit.training.loop import Learner, dropout_from, run_training, save_tensors, seeded_initialisation
+from motionkit.training.networks import resolve_device
 from motionkit.training.run import StageContext
 from motionkit.training.text import embed_texts, load_text_encoder
 

@@ -200,7 +200,8 @@ def train_all(
 ) -> list[dict[str, Any]] | None:
     """Train jobs in order; returns their summaries, on the first rank only. With a title, show one bar for all."""
     from motionkit.store.commit import read_manifest
-    from motionkit.training.loop import joined_ranks, one_thread, resolve_device
+    from motionkit.training.loop import one_thread
+    from motionkit.training.networks import joined_ranks, resolve_device
 
     fingerprint = read_manifest(context.store).fingerprint
     is_timed = any(job.budget_seconds is not None for job in jobs) and resolve_device(context.device).type != "cuda"

@@ -25,7 +25,7 @@ class ConfigLike(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
-# The number format of matrix products (motionkit.training.loop).
+# The number format of matrix products (motionkit.training.networks).
 Precision = Literal["auto", "float32", "bfloat16"]
 
 ConfigT = TypeVar("ConfigT", bound=ConfigLike)

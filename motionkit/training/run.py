@@ -47,7 +47,7 @@ from motionkit.training.config import (
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
-    from motionkit.training.loop import Ranks
+    from motionkit.training.networks import Ranks
 
 
 # A pattern. Without a hyphen first, as options have.
@@ -384,7 +384,7 @@ class StageContext:
     @property
     def ranks(self) -> "Ranks":
         """The ranks that train this stage together."""
-        from motionkit.training.loop import ALONE, present_ranks
+        from motionkit.training.networks import ALONE, present_ranks
 
         return present_ranks() if self.shared else ALONE
 
@@ -421,7 +421,7 @@ class Stage(Generic[ConfigT]):
     `check(context, config)` raises errors that can be found before any training, without other stages' results.
     `recipes` maps names to functions that make a configuration. Stages of one model may share a configuration whose
     parts are named after the stages: a change of another stage's part doesn't prevent `--resume`. Under torchrun every
-    rank calls the `train` of a `shared` stage (`motionkit.training.loop`); others are trained by the first rank
+    rank calls the `train` of a `shared` stage (`motionkit.training.networks`); others are trained by the first rank
     alone. `share` is its share of its system's time budget, relative to the system's other stages (`StagePlan`).
     """
 

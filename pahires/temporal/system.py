@@ -17,13 +17,12 @@ from motionkit.training.loop import (
     load_tensors,
     prefixed,
     rebuilding,
-    resolve_device,
     run_training,
     save_tensors,
     seeded_initialisation,
     unprefixed,
 )
-from motionkit.training.networks import VectorScaling
+from motionkit.training.networks import VectorScaling, resolve_device
 from motionkit.training.run import RunFolder, Stage, StageContext
 from pahires.temporal.encoder import NetworkEncoder
 from pahires.temporal.prediction import Predictor

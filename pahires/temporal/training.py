@@ -8,7 +8,8 @@ import torch
 
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Skeleton
-from motionkit.training.loop import Learner, autocast, dropout_from
+from motionkit.training.loop import Learner, dropout_from
+from motionkit.training.networks import autocast
 from pahires.temporal.base_curves import interpolated
 from pahires.temporal.prediction import Predictor
 from pahires.temporal.settings import Distance, TemporalSettings

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from motionkit.training import loop
+from motionkit.training import loop, networks
 from motionkit.training.loop import step_generator
 from motionkit.training.run import RunError, RunFolder, StageFolder
 from tests.helpers.tiny import NERM, STAGES, train_stage, write_store
@@ -88,7 +88,7 @@ def test_an_interrupted_run_equals_an_uninterrupted_one_bit_by_bit(name, store, 
 
 def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(store, run, other_run, monkeypatch):
     folder = other_run("field")
-    monkeypatch.setattr(loop, "has_bfloat16", lambda device: True)
+    monkeypatch.setattr(networks, "has_bfloat16", lambda device: True)
     asked = replace(NERM, field=replace(NERM.field, precision="auto"))
     monkeypatch.setitem(STAGES, "field", (STAGES["field"][0], asked))
     train_stage("field", store, folder.path.parent)
@@ -96,6 +96,6 @@ def test_the_chosen_precision_is_written_down_and_hardly_changes_what_is_learnt(
     (_, found), (_, expected) = figures(folder), figures(RunFolder(run).stage("field"))
     assert found != expected
     assert found["reconstruction"] == pytest.approx(expected["reconstruction"], rel=0.2)
-    monkeypatch.setattr(loop, "has_bfloat16", lambda device: False)
+    monkeypatch.setattr(networks, "has_bfloat16", lambda device: False)
     with pytest.raises(RunError, match=r"field.precision 'bfloat16' → 'float32'"):
         train_stage("field", store, folder.path.parent, resume=True)

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionkit.core.errors import UsageError
-from motionkit.training import loop
+from motionkit.training import networks
 from motionkit.training.config import Precision, apply_overrides, flatten, from_plain, setting_text, to_plain
-from motionkit.training.loop import DealtRows, Ranks, autocast, with_precision_of
+from motionkit.training.networks import DealtRows, Ranks, autocast, with_precision_of
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Settings:
 
 @pytest.mark.parametrize(("found", "chosen"), [(True, "bfloat16"), (False, "float32")])
 def test_auto_is_bfloat16_only_where_the_processor_has_it(found, chosen, monkeypatch):
-    monkeypatch.setattr(loop, "has_bfloat16", lambda device: found)
+    monkeypatch.setattr(networks, "has_bfloat16", lambda device: found)
     settings = with_precision_of(Settings(), CPU)
     assert settings == Settings(chosen)  # type: ignore[arg-type]
     assert with_precision_of(Settings("float32"), CPU).precision == "float32"
