@@ -431,6 +431,10 @@ def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
     options = options or ReadOptions()
     data = source_file.read_bytes(path)
     lines = source_file.decode(data, path).splitlines()
+    # Spreadsheets write commas: between columns, or in numbers where tabs are between them.
+    has_tabs = "\t" in "".join(lines[3:4])
+    mark = "." if has_tabs else "\t"
+    lines = [line.replace(",", mark) if number != 3 or not has_tabs else line for number, line in enumerate(lines)]
     stated, names = _header(lines, path)
     table = _table(lines, 2 + 3 * len(names), path)
     if stated.get("NumFrames", "") not in ("", str(len(table))):

@@ -242,6 +242,7 @@ _BUILT_IN = (
     _BuiltIn("amass", "amass", suffixes=(".npz",), writes=True),
     _BuiltIn("humanml3d", "humanml3d", holds=_POSE_FOLDERS),
     _BuiltIn("kit", "humanml3d", "KIT_FORMAT", holds=_POSE_FOLDERS),
+    _BuiltIn("easymocap", "easymocap", holds=("[0-9]*.json",)),
     _BuiltIn("humanact12", "joints_npy", "HUMANACT12_FORMAT", suffixes=(".npy",)),
     _BuiltIn("joints-npy", "joints_npy", suffixes=(".npy",), writes=True),
     _BuiltIn("npz", "npz", suffixes=(".npz",), writes=True),

@@ -72,7 +72,7 @@ def read_smpl(path: Path, options: ReadOptions | None = None) -> Motion:
     advice = "--fps gives the video's (GVHMR's results have 30)"
     fps, stated, lines = framerate_of(archive, ("fps", *FRAMERATE_KEYS), options, advice)
     source = source_file.provenance(path, data, "smpl", lines, stated_fps=stated)
-    return _motion(rotations, translation, betas, fps, options, path, source)
+    return motion_of(rotations, translation, betas, fps, options, path, source)
 
 
 def read_motion_x(path: Path, options: ReadOptions | None = None) -> Motion:
@@ -84,7 +84,7 @@ def read_motion_x(path: Path, options: ReadOptions | None = None) -> Motion:
     fps = options.fps or MOTION_X_FPS
     lines = source_file.replaced_fps(fps, MOTION_X_FPS, who="the data set")
     source = source_file.provenance(path, data, "motion-x", lines, stated_fps=str(MOTION_X_FPS))
-    return _motion(rotations, values[:, TRANSLATION], values[0, BETAS], fps, options, path, source)
+    return motion_of(rotations, values[:, TRANSLATION], values[0, BETAS], fps, options, path, source)
 
 
 def accepts_motion_x(head: FileHead) -> bool:
@@ -135,7 +135,7 @@ def _wrong(path: Path, message: str) -> FormatError:
     return FormatError(message, path=path, reason="channel-count")
 
 
-def _motion(
+def motion_of(
     rotations: Rotations,
     translation: Float32[np.ndarray, "*frames 3"] | None,
     betas: Float32[np.ndarray, "betas"],
@@ -143,8 +143,13 @@ def _motion(
     options: ReadOptions,
     path: Path,
     source: Provenance,
+    *,
+    turns_about_origin: bool = False,
 ) -> Motion:
-    """The motion of a body of 22 or 24 joints, turned to y up; decisions are added to its log."""
+    """The motion of a body of 22 or 24 joints, turned to y up; decisions are added to its log.
+
+    SMPL's body turns about its pelvis at rest, J₀, or about the origin, so that J₀ turns too.
+    """
     layout = LAYOUTS[rotations.shape[1]]
     skeleton, origin = posed_skeleton(options.body_models, layout, SMPLX if layout is BODY else SMPL, "neutral", betas)
     lines = [*source.operations, *origin]
@@ -152,7 +157,10 @@ def _motion(
         lines.append("no translation in the file: the pelvis stays in place")
         translation = np.zeros((len(rotations), 3), np.float32)
     local = rotations[:, : skeleton.num_joints].copy()
-    root = translation.reshape(-1, 3) + skeleton.offsets[0]
+    pelvis = skeleton.offsets[0]
+    root = translation.reshape(-1, 3) + (
+        kinematics.quaternion_rotate(local[:, 0], pelvis) if turns_about_origin else pelvis
+    )
     positions = kinematics.forward_kinematics(local, root, skeleton)
     axis = options.up or body_frame.infer_up(SMPL22, positions[:, : SMPL22.num_joints], ("y", "z", "-y"))
     lines += body_frame.log_lines(axis, options.up)

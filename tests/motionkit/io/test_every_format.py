@@ -40,7 +40,7 @@ def read_source(source: Path, options: ReadOptions = OPTIONS) -> tuple[list[mk.M
 
 
 def test_there_is_a_source_of_every_format():
-    assert {*SOURCES, *vector_layouts.FORMATS} == set(readers())
+    assert {*SOURCES, *vector_layouts.FORMATS, "easymocap"} == set(readers())
 
 
 @pytest.mark.parametrize("known", registry._BUILT_IN, ids=lambda known: known.name)
