@@ -59,9 +59,9 @@ class Bank:
 
         In the half spacing before the first knot and after the last, knots are extrapolated linearly.
         """
-        offset = self._offset(coordinates, outside=RADIUS)
+        near, offset = self._near(coordinates)
         weights = torch.sinc(offset) * torch.sinc(offset / RADIUS) * (offset.abs() < RADIUS)
-        weights = weights / weights.sum(dim=1, keepdim=True)
+        weights = self._spread(weights / weights.sum(dim=1, keepdim=True), near)
         before, own, after = weights.tensor_split((RADIUS, RADIUS + self.num_knots), dim=1)
         distance = torch.arange(1, RADIUS + 1, dtype=torch.float64, device=weights.device)
         own[:, 0] += before.flip(1) @ (1.0 + distance)
@@ -77,16 +77,26 @@ class Bank:
 
     def basis(self, coordinates: Float64[Tensor, "times"]) -> Float32[Tensor, "times basis knots"]:
         """Weights of all knots at some coordinates, for each mode; zero outside a knot's radius."""
-        offset = self._offset(coordinates)
+        near, offset = self._near(coordinates)
         bump = 0.5 * (1.0 + torch.cos(math.pi * offset / RADIUS)) * (offset.abs() < RADIUS) / RADIUS
         angles = [math.pi * mode * offset / RADIUS for mode in range(1, NUM_WAVES + 1)]
-        waves = [bump * wave(angle) for angle in angles for wave in (torch.cos, torch.sin)]
-        return torch.stack([self.interpolant(coordinates), *waves], dim=1).float()
+        waves = [self._spread(bump * wave(angle), near) for angle in angles for wave in (torch.cos, torch.sin)]
+        within = [wave[:, RADIUS:-RADIUS] for wave in waves]
+        return torch.stack([self.interpolant(coordinates), *within], dim=1).float()
 
-    def _offset(self, coordinates: Float64[Tensor, "times"], outside: int = 0) -> Float64[Tensor, "times offsets"]:
-        """Distances in knot spacings from all knots, and from as many beyond either end."""
-        knots = torch.arange(-outside, self.num_knots + outside, dtype=torch.float64, device=coordinates.device)
-        return (coordinates[:, None] + 1.0) / self.spacing - (knots + 0.5)
+    def _near(
+        self, coordinates: Float64[Tensor, "times"]
+    ) -> tuple[Int64[Tensor, "times near"], Float64[Tensor, "times near"]]:
+        """The knots within the radius, counted from `RADIUS` before the first, and the distances in knot spacings."""
+        position = (coordinates[:, None] + 1.0) / self.spacing
+        near = torch.floor(position - 0.5) + torch.arange(1 - RADIUS, 1 + RADIUS, device=position.device)
+        return near.long() + RADIUS, position - (near + 0.5)
+
+    def _spread(
+        self, weights: Float64[Tensor, "times near"], near: Int64[Tensor, "times near"]
+    ) -> Float64[Tensor, "times offsets"]:
+        """Weights of near knots → of all knots, and of `RADIUS` more beyond either end."""
+        return weights.new_zeros(len(near), self.num_knots + 2 * RADIUS).scatter(1, near, weights)
 
 
 def mix(
