@@ -354,12 +354,12 @@ class TrainedDenoiser:
         device = self.denoiser.positions.device
         diffusion = config.diffusion
         scale = conditions.guidance(diffusion.guidance_scale)
-        on_device, nothing = conditions.to(device), conditions.unconditional().to(device)
+        embedded = self.denoiser.embed(conditions.paired(conditions.unconditional(), scale).to(device))
         alphas, steps = cumulative_alphas(diffusion), sampling_steps(diffusion)
 
         def predict_noise(latents: Tensor, steps: Tensor) -> Tensor:
             noisy = latents.to(device, torch.float32)
-            output = guided(self.denoiser, noisy, steps.to(device), on_device, nothing, scale)
+            output = guided(self.denoiser, noisy, steps.to(device), embedded, scale)
             alpha = float(alphas[int(steps[0])])
             return predicted_noise(diffusion.prediction, output.to("cpu", torch.float64), latents, alpha)
 

@@ -27,6 +27,26 @@ def distinct(values: Float64[Tensor, "*shape"]) -> tuple[Float64[Tensor, "padded
     return torch.cat((unique, unique[-1:].expand(-len(unique) % step))), inverse
 
 
+ONEDNN = hasattr(torch.ops.mkldnn, "_linear_pointwise") and torch.backends.cpu.get_cpu_capability().startswith("AVX")
+
+
+# oneDNN's call costs 10 µs more than MKL's.
+FEWEST_ONEDNN_ROWS = 16
+
+
+class Linear(nn.Linear):
+    """x·Wᵀ + b, by oneDNN in float32 inference on x86: torch's own MKL uses half of an AMD processor's vector width."""
+
+    def forward(self, x: Float[Tensor, "*shape inputs"]) -> Float[Tensor, "*shape outputs"]:
+        """The product; oneDNN's has no gradient, and no rounding of autocast."""
+        plain = x.dtype == torch.float32 and x.device.type == "cpu" and not torch.is_autocast_enabled("cpu")
+        few = x.numel() < FEWEST_ONEDNN_ROWS * self.in_features
+        if not ONEDNN or few or not plain or torch.is_grad_enabled():
+            return super().forward(x)
+        product: Tensor = torch.ops.mkldnn._linear_pointwise(x, self.weight, self.bias, "none", [], "")
+        return product
+
+
 class FourierFeatures(nn.Module):
     """γ(t) = [cos 2πb₁t, sin 2πb₁t, …] with b_r from an isotropic Gaussian (Tancik et al. 2020).
 
@@ -57,10 +77,10 @@ class AttentionBlock(nn.Module):
         self.norm_context = nn.LayerNorm(width)
         self.norm_hidden = nn.LayerNorm(width)
         self.heads = heads
-        self.queries = nn.Linear(width, width)
-        self.keys_values = nn.Linear(width, 2 * width)
-        self.merge = nn.Linear(width, width)
-        self.feed_forward = nn.Sequential(nn.Linear(width, 4 * width), nn.GELU(), nn.Linear(4 * width, width))
+        self.queries = Linear(width, width)
+        self.keys_values = Linear(width, 2 * width)
+        self.merge = Linear(width, width)
+        self.feed_forward = nn.Sequential(Linear(width, 4 * width), nn.GELU(), Linear(4 * width, width))
 
     def forward(
         self, tokens: Float[Tensor, "tokens width"], context: Float[Tensor, "context width"]
@@ -89,14 +109,23 @@ class CodebookCoordinateAttention(nn.Module):
         super().__init__()
         width, heads = 2 * config.num_frequencies, config.num_heads
         self.register_buffer("codebook", codebook.clone())
-        self.project_codes = nn.Linear(codebook.shape[1], width)
+        self.project_codes = Linear(codebook.shape[1], width)
         self.query_embeddings = nn.Parameter(torch.randn(config.num_queries, width) * width**-0.5)
         self.to_codebook = AttentionBlock(width, heads)
         self.refine = nn.ModuleList(AttentionBlock(width, heads) for _ in range(config.num_layers))
         self.to_prototypes = AttentionBlock(width, heads)
+        self._kept: tuple[list[tuple[int, int]], Tensor] | None = None
 
     def prototypes(self) -> Float[Tensor, "queries width"]:
-        """The queries after cross-attention to the codebook and self-attention."""
+        """The queries after attention to the codebook, then to each other; in inference kept while weights stay."""
+        if torch.is_grad_enabled() or torch.is_autocast_enabled(self.codebook.device.type):
+            return self._prototypes()
+        weights = [(each.data_ptr(), each._version) for each in self.state_dict(keep_vars=True).values()]
+        if self._kept is None or self._kept[0] != weights:
+            self._kept = weights, self._prototypes()
+        return self._kept[1]
+
+    def _prototypes(self) -> Float[Tensor, "queries width"]:
         tokens: Tensor = self.to_codebook(self.query_embeddings, self.project_codes(self.codebook))
         for block in self.refine:
             tokens = block(tokens, tokens)
@@ -135,7 +164,7 @@ class ResidualLayer(nn.Module):
         super().__init__()
         self.norm = nn.LayerNorm(width)
         self.activation = ACTIVATIONS[activation]()
-        self.linear = nn.Linear(width, width)
+        self.linear = Linear(width, width)
 
     def forward(self, hidden: Float[Tensor, "*shape width"]) -> Float[Tensor, "*shape width"]:
         """One layer."""
@@ -179,9 +208,9 @@ class FieldNetwork(nn.Module):
             self.attention = CodebookCoordinateAttention(codebook, encoder)
         hidden, num_inputs = decoder.width, config.latents.dimension if self.local is None else self.local.num_inputs
         self.num_read = num_inputs + width
-        self.from_latent = nn.Linear(num_inputs, hidden)
-        self.from_coordinate = nn.Linear(width, hidden, bias=False) if width else None
-        self.from_framerate = nn.Linear(1, hidden, bias=False)
+        self.from_latent = Linear(num_inputs, hidden)
+        self.from_coordinate = Linear(width, hidden, bias=False) if width else None
+        self.from_framerate = Linear(1, hidden, bias=False)
         self.layers = nn.ModuleList(
             ResidualLayer(hidden, decoder.activation)
             if decoder.kind == "mlp"
@@ -191,9 +220,9 @@ class FieldNetwork(nn.Module):
             )
             for _ in range(decoder.num_layers - 1)
         )
-        self.linear = None if self.local is None else nn.Linear(num_inputs, num_features, bias=False)
+        self.linear = None if self.local is None else Linear(num_inputs, num_features, bias=False)
         self.finish = nn.Sequential(nn.LayerNorm(hidden), ACTIVATIONS[decoder.activation]())
-        self.output = nn.Linear(hidden, num_features)
+        self.output = Linear(hidden, num_features)
 
     @torch.no_grad()
     def start_as_linear_model(
@@ -286,7 +315,7 @@ class ContactHead(nn.Module):
         super().__init__()
         width = CONTACT_WIDTH
         self.layers = nn.Sequential(
-            nn.Linear(num_read, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU(), nn.Linear(width, NUM_LOGITS)
+            Linear(num_read, width), nn.SiLU(), Linear(width, width), nn.SiLU(), Linear(width, NUM_LOGITS)
         )
 
     def forward(self, read: Float[Tensor, "batch poses read"]) -> Float[Tensor, "batch poses 4"]:
@@ -319,11 +348,11 @@ class SkipLayer(nn.Module):
         super().__init__()
         self.num_heads = config.num_heads
         self.attention_norm = nn.LayerNorm(config.width)
-        self.queries_keys_values = nn.Linear(config.width, 3 * config.width)
-        self.attention_out = nn.Linear(config.width, config.width)
+        self.queries_keys_values = Linear(config.width, 3 * config.width)
+        self.attention_out = Linear(config.width, config.width)
         self.ffn_norm = nn.LayerNorm(config.width)
-        self.ffn_in = nn.Linear(config.width, config.ffn_width)
-        self.ffn_out = nn.Linear(config.ffn_width, config.width)
+        self.ffn_in = Linear(config.width, config.ffn_width)
+        self.ffn_out = Linear(config.ffn_width, config.width)
         self.dropout = nn.Dropout(config.dropout)
 
     def forward(
@@ -358,9 +387,9 @@ class ConditionEmbedding(nn.Module):
 
     def __init__(self, sizes: ConditionSizes, width: int) -> None:
         super().__init__()
-        self.text_in = nn.Linear(sizes.text_dimension, width)
+        self.text_in = Linear(sizes.text_dimension, width)
         self.actions = nn.Embedding(max(len(sizes.actions), 1), width)
-        self.duration_in = nn.Sequential(nn.Linear(2 * DURATION_FREQUENCIES, width), nn.SiLU(), nn.Linear(width, width))
+        self.duration_in = nn.Sequential(Linear(2 * DURATION_FREQUENCIES, width), nn.SiLU(), Linear(width, width))
         frequencies = 2.0 ** torch.arange(DURATION_FREQUENCIES) * (torch.pi / 8)
         self.register_buffer("frequencies", frequencies, persistent=False)
         self.frequencies: Tensor
@@ -373,6 +402,15 @@ class ConditionEmbedding(nn.Module):
         angles = conditions.duration[:, None] * self.frequencies
         duration = self.duration_in(torch.cat((angles.cos(), angles.sin()), dim=1))
         return torch.stack((text, action, duration), dim=1)
+
+
+@dataclass(frozen=True, eq=False)
+class EmbeddedConditions:
+    """What all steps of a sampling share: conditions as tokens, the numbers of z in use, the mask of tokens in use."""
+
+    tokens: Float[Tensor, "batch 3 width"]
+    used: Bool[Tensor, "batch latent"]
+    mask: Bool[Tensor, "batch 1 1 tokens"] | None
 
 
 class Denoiser(nn.Module):
@@ -398,31 +436,37 @@ class Denoiser(nn.Module):
         self.always_whole = bool((first_read < 0).all())
         per_token = len(first_read) // config.latent_tokens
         half = config.num_layers // 2
-        self.latent_in = nn.Linear(per_token, config.width)
-        self.step_in = nn.Sequential(
-            nn.Linear(config.width, config.width), nn.SiLU(), nn.Linear(config.width, config.width)
-        )
+        self.latent_in = Linear(per_token, config.width)
+        self.step_in = nn.Sequential(Linear(config.width, config.width), nn.SiLU(), Linear(config.width, config.width))
         self.conditions_in = ConditionEmbedding(layout, config.width)
         self.positions = nn.Parameter(
             torch.randn(config.latent_tokens + 1 + ConditionEmbedding.num_tokens, config.width) * 0.02
         )
         self.layers = nn.ModuleList(SkipLayer(config) for _ in range(config.num_layers))
-        self.skips = nn.ModuleList(nn.Linear(2 * config.width, config.width) for _ in range(half))
+        self.skips = nn.ModuleList(Linear(2 * config.width, config.width) for _ in range(half))
         self.out_norm = nn.LayerNorm(config.width)
-        self.noise_out = nn.Linear(config.width, per_token)
+        self.noise_out = Linear(config.width, per_token)
+
+    def embed(self, conditions: Conditions) -> EmbeddedConditions:
+        """The conditions as `forward` needs them at every step."""
+        used, mask = in_use(self.first_read, conditions.duration), None
+        if not self.always_whole:
+            is_used = used.view(len(used), self.config.latent_tokens, -1).any(dim=2)
+            mask = nn.functional.pad(is_used, (0, 1 + ConditionEmbedding.num_tokens), value=True)[:, None, None]
+        return EmbeddedConditions(self.conditions_in(conditions), used, mask)
 
     def forward(
-        self, latents: Float[Tensor, "batch latent"], steps: Int64[Tensor, "batch"], conditions: Conditions
+        self,
+        latents: Float[Tensor, "batch latent"],
+        steps: Int64[Tensor, "batch"],
+        conditions: Conditions | EmbeddedConditions,
     ) -> Float[Tensor, "batch latent"]:
         """The prediction that `DiffusionConfig.prediction` names."""
-        used, num_tokens = in_use(self.first_read, conditions.duration), self.config.latent_tokens
-        z = self.latent_in((latents * used).view(len(used), num_tokens, -1))
+        given = self.embed(conditions) if isinstance(conditions, Conditions) else conditions
+        num_tokens = self.config.latent_tokens
+        z = self.latent_in((latents * given.used).view(len(latents), num_tokens, -1))
         time = self.step_in(step_features(steps, self.config.width))[:, None]
-        tokens = torch.cat((z, time, self.conditions_in(conditions)), dim=1) + self.positions
-        mask = None
-        if not self.always_whole:
-            is_used = used.view(len(used), num_tokens, -1).any(dim=2)
-            mask = nn.functional.pad(is_used, (0, tokens.shape[1] - num_tokens), value=True)[:, None, None]
-        tokens = through_long_skips(tokens, self.layers, self.skips, lambda layer, tokens: layer(tokens, mask))
+        tokens = torch.cat((z, time, given.tokens), dim=1) + self.positions
+        tokens = through_long_skips(tokens, self.layers, self.skips, lambda layer, tokens: layer(tokens, given.mask))
         out: Tensor = self.noise_out(self.out_norm(tokens[:, :num_tokens]))
-        return out.flatten(1) * used
+        return out.flatten(1) * given.used

@@ -60,11 +60,12 @@ def diffusion_loss(
 def diffusion_sample(network: networks.ConditionalNetwork, batch: SampleBatch, draw: Callable[[], Rows]) -> Rows:
     """Sample clean motions or latents, float64; `draw` returns fresh noise."""
     config, start = batch.diffusion, draw()
+    conditions = batch.conditions.paired(batch.unconditional, config.guidance_scale)
     alphas = networks.cumulative_alphas(config)
 
     def predict_noise(flat: Tensor, steps: Tensor) -> Tensor:
         noisy, at = flat.view(start.shape).float(), steps.to(start.device)
-        output = guided(network, noisy, at, batch.conditions, batch.unconditional, config.guidance_scale)
+        output = guided(network, noisy, at, conditions, config.guidance_scale)
         alpha = float(alphas[int(steps[0])])
         return networks.predicted_noise(config.prediction, output.double().flatten(1), flat, alpha)
 
@@ -367,10 +368,11 @@ class Flow(PeerNetwork):
         """Standardised rows, by uniform Euler steps."""
         network, steps = with_inputs(self, batch.mask), self.config.sampling_steps
         scale = batch.conditions.guidance(self.config.guidance_scale)
+        conditions = batch.conditions.paired(batch.unconditional, scale)
         x = batch.noise_within(batch.lengths, self.numbers).float()
         for step in range(steps):
             times = torch.full((len(x),), step / steps, device=batch.device)
-            x = x + guided(network, x, times, batch.conditions, batch.unconditional, scale) / steps
+            x = x + guided(network, x, times, conditions, scale) / steps
         return self.coordinates.relative(x)
 
 

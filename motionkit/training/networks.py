@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from datetime import timedelta
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import torch
@@ -123,6 +123,11 @@ class Conditions:
         """The scale of guidance: 1 if no row has a condition."""
         return scale if bool(self.given.any()) else 1.0
 
+    def paired(self, unconditional: "Conditions", scale: float) -> "Conditions":
+        """The rows of both passes of `guided`, these first; at a scale of 1 these alone."""
+        pairs = zip(vars(self).values(), vars(unconditional).values(), strict=True)
+        return self if scale == 1.0 else Conditions(*(torch.cat(pair) for pair in pairs))
+
     def rows(self, rows: slice | Int64[Tensor, "some"]) -> "Conditions":
         """Some of the rows."""
         return Conditions(*(tensor[rows] for tensor in vars(self).values()))
@@ -136,24 +141,24 @@ ConditionalNetwork = Callable[[Tensor, Tensor, Conditions], Tensor]
 """(noisy [batch, …], steps [batch], conditions) → an output of the same shape."""
 
 
+ConditionsT = TypeVar("ConditionsT")
+
+
 def guided(
-    network: ConditionalNetwork,
+    network: Callable[[Tensor, Tensor, ConditionsT], Tensor],
     noisy: Float[Tensor, "batch *shape"],
     steps: Float[Tensor, "batch"] | Int64[Tensor, "batch"],
-    conditions: Conditions,
-    unconditional: Conditions,
+    conditions: ConditionsT,
     scale: float,
 ) -> Float[Tensor, "batch *shape"]:
     """scale·network(x, k, c) + (1 − scale)·network(x, k, ∅) (NeRM, Eq. 6), both in one batch.
 
-    Valid for predicted noise, clean values and velocities, which are linear in one another at a given x. A scale of 1
-    takes a single pass (`Conditions.guidance`).
+    `conditions` are those of both passes (`Conditions.paired`). Valid for predicted noise, clean values and velocities,
+    which are linear in one another at a given x. A scale of 1 takes a single pass (`Conditions.guidance`).
     """
     if scale == 1.0:
         return network(noisy, steps, conditions)
-    pairs = zip(vars(conditions).values(), vars(unconditional).values(), strict=True)
-    stacked = Conditions(*(torch.cat(pair) for pair in pairs))
-    both = network(torch.cat((noisy, noisy)), torch.cat((steps, steps)), stacked)
+    both = network(torch.cat((noisy, noisy)), torch.cat((steps, steps)), conditions)
     with_condition, without = both.chunk(2)
     return scale * with_condition + (1 - scale) * without
 

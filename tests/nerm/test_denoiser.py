@@ -124,10 +124,10 @@ def test_guidance_is_equation_6_in_one_batch_and_keeps_the_duration():
         return latents + given.text.sum(dim=1, keepdim=True) + 10 * given.action[:, None] + given.duration[:, None]
 
     latents, steps = torch.randn(3, 4), torch.full((3,), 7)
-    found = guided(denoiser, latents, steps, given, nothing, 7.5)
+    found = guided(denoiser, latents, steps, given.paired(nothing, 7.5), 7.5)
     expected = 7.5 * denoiser(latents, steps, given) - 6.5 * denoiser(latents, steps, nothing)
     torch.testing.assert_close(found, expected)
     # A guidance of one, or of nothing, is a single pass.
-    guided(denoiser, latents, steps, given, nothing, 1.0)
-    guided(denoiser, latents, steps, nothing, nothing, nothing.guidance(7.5))
+    guided(denoiser, latents, steps, given.paired(nothing, 1.0), 1.0)
+    guided(denoiser, latents, steps, nothing.paired(nothing, 1.0), nothing.guidance(7.5))
     assert batches == [6, 3, 3, 3, 3] and given.guidance(7.5) == 7.5
