@@ -40,9 +40,13 @@ def _records(path: Path) -> list[dict[str, Any]]:
     return found
 
 
-@lru_cache(maxsize=1)  # the persons of a folder are read one after the other
 def _frames(folder: Path) -> tuple[list[dict[str, Any]], ...]:
-    return tuple(_records(path) for path in sorted(folder.glob("[0-9]*.json")))
+    return _read_frames(tuple((path, path.stat().st_mtime_ns) for path in sorted(folder.glob("[0-9]*.json"))))
+
+
+@lru_cache(maxsize=1)  # the persons of a folder are read one after the other
+def _read_frames(files: tuple[tuple[Path, int], ...]) -> tuple[list[dict[str, Any]], ...]:
+    return tuple(_records(path) for path, _ in files)
 
 
 def _person(record: dict[str, Any]) -> str:

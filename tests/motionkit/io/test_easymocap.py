@@ -28,6 +28,7 @@ def _write(folder: Path, frames: list[list[dict[str, object]]]) -> Path:
 
 def test_a_fit_of_smpl_turns_about_the_origin(tmp_path: Path) -> None:
     motion, rest = walk(), mean_shape_skeleton()
+    assert motion.local_rotations is not None
     turns = [Rotation.from_quat(quaternions, scalar_first=True) for quaternions in motion.local_rotations]
     frames = []
     for frame, turn in enumerate(turns):
@@ -62,3 +63,6 @@ def test_points_of_two_persons(tmp_path: Path) -> None:
     np.testing.assert_allclose(first.joint_positions[3, BODY_25.index("RWrist")], mean, atol=1e-5)
     np.testing.assert_allclose(second.joint_positions, joints[:, order] + [2, 0, 0], atol=1e-5)
     np.testing.assert_allclose(map_joints(first, "smpl22")[:, 5], joints[:, 5], atol=1e-5)
+    (tmp_path / "keypoints3d" / "000009.json").write_text("[{")
+    (problem,) = scan([tmp_path / "keypoints3d"]).problems
+    assert problem.path.name == "000009.json"
