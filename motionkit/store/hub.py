@@ -6,8 +6,10 @@ repository is run.
 """
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from glob import escape
 from pathlib import Path, PurePosixPath
 from shutil import copytree
@@ -69,9 +71,12 @@ def fetch(repository: "HfUri", patterns: Sequence[str], ignored: Sequence[str] =
     return Path(snapshot, repository.path_in_repo)
 
 
-def fetch_store(repository: "HfUri") -> Path:
-    """Download a store; returns its folder in the Hub's cache. Checksums are compared when its files are read."""
-    folder = fetch(repository, STORE_FILES)
+def fetch_store(repository: "HfUri", patterns: Sequence[str] = STORE_FILES) -> Path:
+    """Download the files of a store that match `patterns`; returns its folder in the Hub's cache.
+
+    Checksums are compared when its files are read. Raises `HubError`.
+    """
+    folder = fetch(repository, patterns)
     if not (folder / MANIFEST_FILE).is_file():
         address = repository.to_uri()
         raise HubError(
@@ -79,6 +84,21 @@ def fetch_store(repository: "HfUri") -> Path:
             f"'motionkit ingest {address}'"
         )
     return folder
+
+
+def fetch_tables(repository: "HfUri") -> tuple[Path, Callable[[str], None]]:
+    """Download a store without its parts; returns its folder, and a function that downloads one part of that commit."""
+    folder = fetch_store(repository, STORE_FILES[:-1])
+    snapshot = [folder, *folder.parents][len(PurePosixPath(repository.path_in_repo).parts)]
+    return folder, partial(_fetch_part, replace(repository, revision=snapshot.name))
+
+
+def _fetch_part(repository: "HfUri", name: str) -> None:
+    from huggingface_hub import hf_hub_download
+
+    path = str(PurePosixPath(repository.path_in_repo, name))
+    with _reporting(repository):
+        hf_hub_download(repository.id, path, repo_type=repository.type, revision=repository.revision)
 
 
 @contextmanager

@@ -4,7 +4,7 @@ import atexit
 import operator
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache, cached_property, lru_cache
 from html import escape
@@ -131,15 +131,24 @@ PLACE_COLUMNS = ("sequence_index", "part", "part_row")
 
 
 class PartReader:
-    """Owns the open parts and the decoded row groups of one committed state of a store."""
+    """Owns the open parts and the decoded row groups of one committed state of a store; pickled without them.
 
-    def __init__(self, store: Path, entries: Mapping[str, FileEntry]) -> None:
+    `fetch_part` downloads a part that is not in the store's folder.
+    """
+
+    def __init__(
+        self, store: Path, entries: Mapping[str, FileEntry], fetch_part: Callable[[str], None] | None = None
+    ) -> None:
         self._store = store
         self._entries = entries
+        self._fetch_part = fetch_part
         self._intact: set[str] = set()
         # Not of methods: with a reader all that it keeps is freed at once.
         self._opened = lru_cache(KEPT_PARTS)(_open)
         self._decoded = lru_cache(KEPT_ROW_GROUPS)(_decode)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return PartReader, (self._store, self._entries, self._fetch_part)
 
     def read(
         self, row: Mapping[str, Any], *, rotations: bool = True
@@ -172,6 +181,8 @@ class PartReader:
         path, entry = self._store / name, self._entries[name]
         if name in self._intact:
             return path
+        if self._fetch_part and not path.exists():
+            self._fetch_part(name)
         if path.stat().st_size != entry.num_bytes or files.sha256_of(path) != entry.sha256:
             raise damaged(self._store, f"{name}: its sha256 is not the manifest's")
         self._intact.add(name)
@@ -251,6 +262,7 @@ class Store:
         sequences: pa.Table,
         skeletons: pa.Table,
         on_progress: OnProgress = ignore,
+        fetch_part: Callable[[str], None] | None = None,
     ) -> None:
         self.path = path
         self.on_progress = on_progress
@@ -260,27 +272,28 @@ class Store:
         self.skeletons_table = skeletons
         self.skeletons = read_skeletons(skeletons)
         """Skeletons by fingerprint."""
-        self._parts = PartReader(path, manifest.files)
+        self._parts = PartReader(path, manifest.files, fetch_part)
         check_sequences(sequences, manifest, self.skeletons)
 
     @classmethod
     def open(cls, path: Path | str, *, on_progress: OnProgress = ignore) -> "Store":
-        """Open a store, also one of the Hub (`hf://datasets/OWNER/NAME`), which is fetched into the Hub's cache.
+        """Open a store, also one of the Hub (`hf://datasets/OWNER/NAME`), whose parts are downloaded as they are read.
 
         `on_progress` is called while caches are built from it. Raises `StoreError` where there is none, or it is
         damaged or of another format version; `HubError` where the Hub cannot be asked.
         """
+        fetch_part = None
         if str(path).startswith("hf://"):
-            from motionkit.store.hub import fetch_store, parse_address  # deferred: few stores are of the Hub
+            from motionkit.store.hub import fetch_tables, parse_address  # deferred: few stores are of the Hub
 
-            path = fetch_store(parse_address(str(path)))
+            path, fetch_part = fetch_tables(parse_address(str(path)))
         path = Path(path)
         fault: Exception
         for _ in range(OPEN_ATTEMPTS):
             manifest = read_manifest(path)
             try:
                 sequences, skeletons = (read_table(path, manifest, name) for name in TABLES)
-                return cls(path, manifest, sequences, skeletons, on_progress)
+                return cls(path, manifest, sequences, skeletons, on_progress, fetch_part)
             except ValueError as error:
                 raise damaged(path, error) from None
             except FileNotFoundError as error:  # a writer may have committed since the manifest was read

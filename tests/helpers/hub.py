@@ -113,7 +113,10 @@ class _Answers(BaseHTTPRequestHandler):
             self.answer({**facts, "tags": [], "downloads": 0, "likes": 0, "siblings": []})
 
     def send_file(self, name: str, revision: str, path: str) -> None:
-        content = self.hub.at(name, revision)[path]
+        content = self.hub.at(name, revision).get(path)
+        if content is None:
+            self.answer({"error": "Entry not found"}, 404, {"X-Error-Code": "EntryNotFound"})
+            return
         etag = {"ETag": f'"{hashlib.sha256(content).hexdigest()}"', "X-Repo-Commit": revision}
         if self.command == "GET":
             self.hub.served.append(path)
