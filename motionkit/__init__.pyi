@@ -9,6 +9,8 @@ from .core.skeleton import SMPL22 as SMPL22
 from .core.skeleton import Skeleton as Skeleton
 from .core.timegrid import TimeGrid as TimeGrid
 from .data.dataset import ClipDataset as ClipDataset
+from .data.stream import ClipStream as ClipStream
+from .data.stream import collate_clips as collate_clips
 from .edit.complete import complete as complete
 from .edit.convert import convert as convert
 from .edit.plant import plant as plant

@@ -107,6 +107,16 @@ def test_a_store_goes_and_comes_back(hub: Hub, store: mk.Store) -> None:
     assert "copy" in str(run(pull, WALKS, "--store", "copy").exception)
 
 
+def test_a_stream_downloads_parts_as_it_reads_them(hub: Hub, store: mk.Store) -> None:
+    with mk.StoreWriter.append(store.path) as writer:
+        writer.add(replace(store["lab/0"], sequence_id="lab/more"))
+    done(push, WALKS)
+    stream = mk.ClipStream(WALKS, seconds=0.5, seed=0, buffer=1)
+    assert not [path for path in hub.served if "part-" in path]
+    downloaded = [sum("part-" in path for path in hub.served) for _ in stream]
+    assert (downloaded[0], downloaded[-1], len(downloaded)) == (1, 2, stream.num_windows)
+
+
 def test_a_store_that_is_damaged_or_not_whole_is_not_pulled(hub: Hub, store: mk.Store) -> None:
     done(push, WALKS)
     whole = hub.files("datasets/me/walks")
@@ -115,7 +125,7 @@ def test_a_store_that_is_damaged_or_not_whole_is_not_pulled(hub: Hub, store: mk.
     failed = run(pull, WALKS, "--store", "copy").exception
     assert isinstance(failed, StoreError)
     hub.add("datasets/me/walks", {name: content for name, content in whole.items() if name != part})
-    with pytest.raises(StoreError):
+    with pytest.raises(HubError, match="walks"):
         mk.Store.open(WALKS).read(0)
     assert isinstance(run(pull, WALKS, "--store", "copy").exception, StoreError)
     assert [path.name for path in Path().iterdir() if path.name.startswith("copy")] == []
