@@ -22,7 +22,7 @@ from motionkit.cli.console import (
     stdout,
 )
 from motionkit.core import plugins
-from motionkit.core.errors import MissingExtraError, UsageError
+from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import ignore, task
 from motionkit.store.reader import conjunction
@@ -220,10 +220,19 @@ def train_all(
             """Check all stages and lock them, so that a second call cannot replace what this one builds on."""
             for job in jobs:
                 check_kept(job, jobs, context, fingerprint)
-            for job in jobs:
-                if job.config is not None:
-                    job.stage.check(replace(context, budget_seconds=job.budget_seconds), job.config)
-                    locks.enter_context(context.run.stage(job.stage.name).locked())
+            to_train = [(job, job.config) for job in jobs if job.config is not None]
+            problems: dict[str, MotionkitError] = {}
+            for job, config in to_train:
+                try:
+                    job.stage.check(replace(context, budget_seconds=job.budget_seconds), config)
+                except MotionkitError as error:
+                    problems.setdefault(str(error), error)
+            if len(problems) > 1:
+                raise UsageError("; ".join(problems))
+            for problem in problems.values():
+                raise problem
+            for job, _ in to_train:
+                locks.enter_context(context.run.stage(job.stage.name).locked())
 
         ranks.on_first(prepare)
         for number, job in enumerate(jobs, start=1):
