@@ -43,8 +43,14 @@ def evaluate(
     split: Annotated[str, _option(REAL, "Real sequences to compare with: a split, or all.")] = "test",
     where: Annotated[str | None, _option(REAL, "Only real sequences for which this holds.", metavar="SQL")] = None,
     runs: Annotated[Path | None, _option(EVALUATED, "Folder of all runs.")] = None,
-    run: Annotated[str, _option(EVALUATED, "Trained run to evaluate; without one its rows are left out.")] = "nano",
-    samples: Annotated[list[str] | None, _option(EVALUATED, "Another system's motions.", metavar="NAME=DIR")] = None,
+    run: Annotated[
+        str | None,
+        _option(EVALUATED, "Trained run to evaluate; without one its rows are left out.", show_default="nano"),
+    ] = None,
+    samples: Annotated[
+        list[str] | None,
+        _option(EVALUATED, "Another system's motions; with @FPS for that column alone.", metavar="NAME[@FPS]=DIR"),
+    ] = None,
     samples_fps: Annotated[str | None, _option(EVALUATED, "Framerate of samples without one.", metavar="FPS")] = None,
     encoder: Annotated[list[str] | None, _option(EVALUATED, "Another run's encoder.", metavar="NAME=RUN")] = None,
     motions: Annotated[int, _option(EVALUATED, "Maximum number of motions that a model generates.", min=2)] = 1024,
@@ -66,7 +72,7 @@ def evaluate(
     """
     from eval.clip_fid.score import Protocol
     from eval.sample_folder import SampleFolderError, SampleOptions
-    from eval.tables.table import EvalConfig
+    from eval.tables.table import EvalConfig, name_and_fps
 
     tables = _chosen(table, figure, calibrate, paper)
     if calibrate and samples:
@@ -79,7 +85,10 @@ def evaluate(
     elif glove or statistics:
         raise UsageError("--glove and --statistics need a published evaluator: give its --weights finest.tar")
     folder = runs or default_path("runs")
-    own = folder / run if not samples or (folder / run).is_dir() else None
+    place = folder / (run or "nano")
+    own = place if not samples or place.is_dir() else None
+    if own is None and run is not None:
+        stderr.print(f"there is no run {str(place)!r}: only --samples have rows")
     encoders = tuple((name, folder / of) for name, of in _pairs("--encoder", encoder or [], "RUN"))
     if absent := [path for _, path in encoders if not path.is_dir()]:
         raise UsageError(f"--encoder: there is no run {str(absent[0])!r}")
@@ -109,8 +118,6 @@ def evaluate(
         for folder_of in config.sample_folders if any(each.takes_samples for each in tables.values()) else ():
             for problem in folder_of.left_out[:10]:
                 stderr.print(f"left out of {folder_of.name!r}: {problem}")
-        if own is None:
-            stderr.print(f"there is no run {str(folder / run)!r}: only --samples have rows")
         for number, each in tables.items():
             try:
                 built.append(_build(config, each, as_json))
@@ -125,7 +132,7 @@ def evaluate(
         raise reason
     for result in built:
         shown = {row.name for block in result.blocks if block.metrics for row in block.rows if row.cells}
-        if rowless := [name for name in config.samples if name not in shown]:
+        if rowless := [name for name in config.samples if not {name, name_and_fps(name)[0]} & shown]:
             reasons = "; ".join(line for line in result.missing if line.startswith(tuple(rowless)))
             raise SampleFolderError(f"the table was written without rows for {', '.join(rowless)}; {reasons}")
     if left_out := {each.name: len(each.left_out) for each in config.sample_folders if each.left_out}:
@@ -181,6 +188,7 @@ def _pairs(option: str, pairs: list[str], value: str) -> list[tuple[str, str]]:
 def named_samples(pairs: list[str], run: Path | None = None) -> dict[str, Path]:
     """Folders of samples by name; raises `UsageError` for a name twice, or of a row of the run's models."""
     from eval.sets.sets import check_sample_names
+    from eval.tables.table import name_and_fps
     from motionkit.generate.models import installed_models
 
     named: dict[str, Path] = {}
@@ -190,7 +198,10 @@ def named_samples(pairs: list[str], run: Path | None = None) -> dict[str, Path]:
         named[name] = Path(folder)
     if named:
         loaders = installed_models().values()
-        check_sample_names(named, [each.title for each in loaders if run is not None and each.begun_in(run)])
+        # Folders of one system for several framerates are one row.
+        systems = dict.fromkeys((system, fps is None) for system, fps in map(name_and_fps, named))
+        models = [each.title for each in loaders if run is not None and each.begun_in(run)]
+        check_sample_names([system for system, _ in systems], models)
     return named
 
 

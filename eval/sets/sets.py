@@ -266,16 +266,11 @@ def num_copies(real: Features, other: Features, tolerance: float) -> int:
     )
 
 
-def set_remarks(real: SampleSet, rows: Mapping[str, SampleSet]) -> list[str]:
-    """One remark for each row that holds sequences of the real set."""
-    remarks, known = [], _ends(real)
-    for name, samples in rows.items():
-        if copies := num_copies(known, _ends(samples), SAME_METRES):
-            remarks.append(
-                f"{name}, {real.fps} fps: {copies} of {samples.num_sequences} sequences are copies of sequences of "
-                f"{real.name}; a set of nothing else scores like independent draws (P1), which says nothing of a model"
-            )
-    return remarks
+def copied_sequences(real: SampleSet, rows: Mapping[str, SampleSet]) -> dict[str, int]:
+    """How many sequences of each row are of the real set; rows without one are left out."""
+    known = _ends(real)
+    counts = {name: num_copies(known, _ends(samples), SAME_METRES) for name, samples in rows.items()}
+    return {name: count for name, count in counts.items() if count}
 
 
 def _ends(samples: SampleSet) -> Features:

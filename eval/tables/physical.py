@@ -135,7 +135,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
             )
             differences = score_differences(means, {metric.title: metric.title for metric in shown}, (REAL,))
             blocks += with_differences(block, differences, _nearest(means))
-        blocks += detail_blocks(column.real, column.train, sets, notes, config)
+        blocks += detail_blocks(column.real, column.train, sets, config)
     return Content(
         caption=f"Physical figures of real motion, {config.real}, and of what was made for it.",
         blocks=blocks,

@@ -17,7 +17,7 @@ from eval.sample_folder.folder import samples_of_takes, takes_of_samples
 from eval.sets import motions
 from eval.sets.motions import NoRealMotionError, RealMotion, Window
 from eval.sets.sets import REAL, TRAINING_TAKES, Missing, RowId, SampleSet, Variant, check_sample_names
-from eval.tables.table import EvalConfig
+from eval.tables.table import EvalConfig, name_and_fps
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.progress import task, tracked
 from motionkit.data.reconstruction import ReconstructsWindows
@@ -166,7 +166,7 @@ def generated_fields(config: EvalConfig, real: SampleSet) -> tuple[ModelFields, 
     """
     run, most, draws = config.run, config.max_motions, config.draws
     models = trained_models(run, config.missing)
-    check_sample_names(config.samples, models)
+    check_sample_names({name_and_fps(name)[0] for name in config.samples}, models)
     detail = load_detail(run) if run is not None and RunFolder(run).stage("detail").is_complete else None
     rows: dict[RowId, dict[Window, MotionField]] = {}
     for name, trained in tracked(config.on_progress, "systems", models.items(), len(models)):
@@ -260,6 +260,9 @@ def samples_at(real: RealMotion, fps: Fraction, config: EvalConfig) -> dict[RowI
     """
     rows: dict[RowId, SampleSet] = {}
     for folder in config.sample_folders:
+        name, own_fps = name_and_fps(folder.name)
+        if own_fps not in (None, fps):
+            continue
         with task(config.on_progress, f"{folder.name}, {label(fps)}"):
             every = folder.at(fps)
         takes = takes_of_samples(folder, real)
@@ -269,7 +272,7 @@ def samples_at(real: RealMotion, fps: Fraction, config: EvalConfig) -> dict[RowI
         if found is None:
             config.missing.add(f"{folder.name}, {label(fps)}: {NOT_SO_FAST}")
         else:
-            rows |= {RowId(folder.name): found, RowId(folder.name, Variant.PLANTED): motions.planted_set(found)}
+            rows |= {RowId(name): found, RowId(name, Variant.PLANTED): motions.planted_set(found)}
     return rows
 
 
@@ -316,7 +319,6 @@ def detail_blocks(
     real: SampleSet,
     train: SampleSet | None,
     rows: Mapping[RowId, SampleSet],
-    notes: Mapping[RowId, str],
     config: EvalConfig,
 ) -> list[Block]:
     """The detail profile of rows at 40 fps or more; none below, without training motion, or of frozen real motion."""
@@ -337,7 +339,7 @@ def detail_blocks(
             for column, figure in by_column.items():
                 interval = dict(zip(("2.5 % over takes", "97.5 % over takes"), figure.interval, strict=True))
                 cells[column] = Cell(figure.value, details=interval, mark="" if figure.is_real else OUTSIDE)
-            note = "all of them" if row == TRAINING else notes.get(row, "")
+            note = "all of them" if row == TRAINING else ""
             shown.append(Row(str(row), "reference" if row in REFERENCES else "ours", cells, note))
         slope = f"Real motion keeps {detail.real_slope:.2f} of the slope that the prediction was fitted with."
         provenance = {"version": DETAIL_VERSION, "real_slope": detail.real_slope}

@@ -20,6 +20,7 @@ from eval.sets.sets import Missing
 from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import OnProgress, ignore, task
+from motionkit.core.timegrid import parse_fps
 from motionkit.store.reader import Store
 from motionkit.training.run import Loader
 
@@ -162,6 +163,15 @@ class Table:
             missing=config.missing.lines,
             provenance=origin,
         )
+
+
+def name_and_fps(name: str) -> tuple[str, Fraction | None]:
+    """A system's name and the one framerate that a folder of its samples is for: `mine@60`; None for all."""
+    system, _, fps = name.rpartition("@")
+    try:
+        return (system, parse_fps(fps)) if system else (name, None)
+    except ValueError:
+        return name, None
 
 
 def find_table(paper: str, number: str) -> Table:

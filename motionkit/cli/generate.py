@@ -80,7 +80,7 @@ def generate(
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants.
 
     Example: motionkit generate --unconditional --seconds 4 --fps 120 -n 4 --out made --format bvh"""
-    from motionkit.generate.models import SamplingOptions, load_model, model_of, warn_above_training
+    from motionkit.generate.models import SamplingOptions, load_model, model_of, warn_above_training, warn_unfamiliar
     from motionkit.generate.output import Job, locked_output, output_format
     from motionkit.generate.request import (
         MotionsRequest,
@@ -107,10 +107,13 @@ def generate(
     request = MotionsRequest(tuple(chosen), count, instants, rate, join, constraints)
 
     place = (runs or default_path("runs")) / run
-    loaded = load_model(model or model_of(place), place)
+    name = model or model_of(place)
+    loaded = load_model(name, place)
     sampling, learnt = SamplingOptions(guidance, sampler, sampling_steps), load_detail(place) if detail else None
     job = Job(request, loaded, place, output, seed, sampling, plant, learnt)
     warn_above_training(loaded, job.fps)
+    given = (each.text for script in request.motions for each in script)
+    warn_unfamiliar(loaded, name, place, list(dict.fromkeys(filter(None, given))))
     num_motions = len(request.motions)
     if job.num_joined:
         stderr.print(

@@ -101,6 +101,14 @@ def embed_texts(encoder: TextEncoder, texts: Sequence[str], folder: Path) -> Flo
     return np.array(rows, dtype=np.float32).reshape(len(texts), encoder.dimension)
 
 
+def cached_embeddings(
+    encoder: TextEncoder, texts: Sequence[str], folder: Path
+) -> dict[str, Float32[np.ndarray, "dimension"]]:
+    """The embeddings of those texts that `embed_texts` has cached in `folder`."""
+    known = _read(folder / f"text-embeddings-{encoder.fingerprint[:16]}.safetensors")
+    return {text: known[_key(text)] for text in texts if _key(text) in known}
+
+
 def _key(text: str) -> bytes:
     return hashlib.sha256(text.encode()).digest()
 

@@ -173,7 +173,7 @@ def cost(config: EvalConfig, store: Store) -> Content:
                 (*floors, *rows),
                 metrics=tuple(measure(CLIP_FID, column=column) for column in columns.values()),
             ),
-            *detail_blocks(real.real, real.training, sets, {}, config),
+            *detail_blocks(real.real, real.training, sets, config),
         ),
         definition={"seconds": seconds, "fps": str(fps), "repeats": REPEATS},
     )

@@ -20,7 +20,7 @@ from eval.sets.motions import (
     real_motion,
     training_motion,
 )
-from eval.sets.sets import REAL, Missing, RowId, SampleSet, Variant, set_remarks
+from eval.sets.sets import REAL, Missing, RowId, SampleSet, Variant, copied_sequences
 from eval.tables.systems import (
     COLUMNS,
     LOW_FPS,
@@ -35,7 +35,7 @@ from eval.tables.systems import (
     make_column,
     score_column,
 )
-from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
+from eval.tables.table import SOURCES, Content, EvalConfig, Table, name_and_fps, printed_block, reported_figures
 from motionkit.core.progress import task
 from motionkit.generate.models import installed_models
 from motionkit.store.reader import Store
@@ -45,6 +45,7 @@ COPIES = "Copies of training motion"
 HELD_OUT = RowId(REAL.system, Variant.HELD_OUT)
 COPIED = "copied (%)"
 SHARES = {"nearest (mm)": 0.0, "5 % (mm)": 0.05, "25 % (mm)": 0.25, "50 % (mm)": 0.5, "95 % (mm)": 0.95}
+COPIED_NOTE = "a set of nothing else scores like independent draws (P1), which says nothing of a model"
 MAX_COPIES = 60
 COPIES_NOTE = (
     f"Copied are windows of a second that are nearer to training motion, for how much they move, than "
@@ -122,18 +123,19 @@ def compute(config: EvalConfig, store: Store) -> Content:
     notes = _row_notes(training, config)
     sheets = [Sheet(source) for source in feature_sources(config.evaluators, config.guo, config.missing)]
     real_sets: dict[str, dict[str, float]] = {}
-    remarks: dict[str, None] = {}
+    copied: dict[str, list[str]] = {}
     details: list[Block] = []
     for fps in rates:
         # One column's motions at a time: all framerates together need three times the memory.
         column, name = make_column(fps, real, train, generated, config), label(fps)
         real_sets[name] = {"sequences": column.real.num_sequences, "seconds": column.real.duration_seconds}
         others = {str(row): samples for row, samples in column.rows.items() if row not in REFERENCES}
-        remarks |= dict.fromkeys(set_remarks(column.real, others))
+        for row, count in copied_sequences(column.real, others).items():
+            copied.setdefault(row, []).append(f"{name} ({count} of {others[row].num_sequences})")
         for sheet in sheets:
             with config.missing.skipping(f"{name}, {sheet.source.name}"):
                 sheet.add(column, config)
-        details += detail_blocks(column.real, column.train, column.rows, notes, config)
+        details += detail_blocks(column.real, column.train, column.rows, config)
         del column
         for motion in (real, train):
             motion.forget_all_but(LOW_FPS)
@@ -146,8 +148,10 @@ def compute(config: EvalConfig, store: Store) -> Content:
             raise NoRealMotionError("the compared motion is the training motion")
         fields = {row: fields for row, fields in generated.items() if row.variant is Variant.AS_IS}
         slow = generated_at(fields, real.at(LOW_FPS), LOW_FPS, Missing())
-        slow |= {RowId(folder.name): folder.at(LOW_FPS) for folder in config.sample_folders}
-        copies.append(copies_block(real.at(LOW_FPS), train.at(LOW_FPS), slow, notes))
+        # Of a system with a folder for each framerate, the slowest.
+        folders = sorted(config.sample_folders, key=lambda each: name_and_fps(each.name)[1] or 0, reverse=True)
+        slow |= {RowId(name_and_fps(each.name)[0]): each.at(LOW_FPS) for each in folders}
+        copies.append(copies_block(real.at(LOW_FPS), train.at(LOW_FPS), slow))
     protocol = config.clips
     return Content(
         caption=(
@@ -156,7 +160,11 @@ def compute(config: EvalConfig, store: Store) -> Content:
             f"({protocol.resamplings} resamplings of the takes of both sides)."
         ),
         blocks=(
-            *(block for sheet in sheets for block in sheet.blocks(tuple(real_sets), notes, config)),
+            *(
+                block
+                for number, sheet in enumerate(sheets)
+                for block in sheet.blocks(tuple(real_sets), {} if number else notes, config)
+            ),
             *details,
             *copies,
             printed_block(
@@ -167,7 +175,10 @@ def compute(config: EvalConfig, store: Store) -> Content:
             ),
         ),
         definition={"protocol": asdict(protocol), "real_sets": real_sets},
-        notes=("Columns hold different sequences: numbers compare down a column, not along a row.", *remarks),
+        notes=(
+            "Columns hold different sequences: numbers compare down a column, not along a row.",
+            *(f"{row} holds copies of {real.name}: {', '.join(found)}; {COPIED_NOTE}" for row, found in copied.items()),
+        ),
     )
 
 
@@ -175,15 +186,16 @@ TABLE = Table("nerm", "2", "clip-FID by framerate", VERSION, compute, shown=inst
 
 
 def _row_notes(training: Mapping[str, str], config: EvalConfig) -> dict[RowId, str]:
-    own = {**training, **{folder.name: folder.describe() for folder in config.sample_folders}}
+    own: dict[str, str] = dict(training)
+    for folder in config.sample_folders:
+        name = name_and_fps(folder.name)[0]
+        own[name] = "; ".join(filter(None, (own.get(name, ""), folder.describe())))
     variants = {Variant.UPSAMPLED: UPSAMPLED_NOTE, Variant.AS_VECTORS: ROW_NOTES[VECTORS], **VARIANT_NOTES}
     of_variants = {RowId(system, variant): note for system in own for variant, note in variants.items()}
     return {**ROW_NOTES, **{RowId(system): note for system, note in own.items()}, **of_variants}
 
 
-def copies_block(
-    held_out: SampleSet, training: SampleSet, others: Mapping[RowId, SampleSet], notes: Mapping[RowId, str]
-) -> Block:
+def copies_block(held_out: SampleSet, training: SampleSet, others: Mapping[RowId, SampleSet]) -> Block:
     """The share of windows that are copies, and quantiles of the distance to training motion.
 
     Sets without a moving second have no row. Raises `ValueError` where the training motion is too short.
@@ -201,7 +213,6 @@ def copies_block(
             continue
         cells = {COPIED: Cell(100.0 * float((nearest.relative < limit).mean()))}
         cells |= {name: Cell(1000.0 * float(np.quantile(nearest.distance, share))) for name, share in SHARES.items()}
-        count = f"{len(np.unique(nearest.motion))} motions, {len(nearest.distance)} windows"
-        note = "; ".join(filter(None, (count, notes.get(row, ""))))
+        note = f"{len(np.unique(nearest.motion))} motions, {len(nearest.distance)} windows"
         rows.append(Row(str(row), "reference" if row == HELD_OUT else "ours", cells, note))
     return Block(COPIES, (COPIED, *SHARES), tuple(rows), note=COPIES_NOTE, provenance={"limit": limit})
