@@ -26,6 +26,9 @@ def report(
     store: Annotated[Path | None, typer.Option(help="With html: begin with what this store holds.")] = None,
     run: Annotated[list[str] | None, typer.Option(help="With html: this run's training; with --store motions.")] = None,
     runs: RunsFolder = None,
+    only_samples: Annotated[
+        bool, typer.Option("--samples-only", help="Rows of --samples, real motion and papers; none of a run's models.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Show every result of the results folder: one HTML page, pictures, or Markdown, LaTeX or CSV on stdout.
@@ -35,7 +38,7 @@ def report(
 
     Example: motionkit report --store store --run nano
     """
-    from eval.report.results import ResultError, find_results, to_csv, to_latex, to_markdown
+    from eval.report.results import ResultError, find_results, samples_only, to_csv, to_latex, to_markdown
 
     folder = results or default_path("results")
     found, faults = find_results(folder)
@@ -43,6 +46,10 @@ def report(
         stderr.print(f"left out: {fault}")
     if not found and not faults and not run:
         raise UsageError(f"there is no result in {str(folder)!r}: motionkit eval --table 2 makes one")
+    if only_samples:
+        found = [samples_only(result) for result in found if result.provenance.get("samples")]
+        if not found or run:
+            raise UsageError("--samples-only shows results of 'motionkit eval --samples', without --run")
     printers = {"markdown": to_markdown, "latex": to_latex, "csv": to_csv}
     if as_json:
         print_json([asdict(result) for result in found])

@@ -387,6 +387,32 @@ LATEX = str.maketrans(
 )
 
 
+def samples_only(result: Result) -> Result:
+    """The result without rows of a run's models: those of samples, real motion and papers; and what is said of them."""
+    rows = [row for block in result.blocks for row in block.rows]
+    references = {row.name for row in rows if row.origin != "ours"}
+    folders = result.provenance.get("samples", {})
+    samples = {*folders, *(name.rpartition("@")[0] for name in folders)}
+
+    def is_kept(name: str) -> bool:
+        systems = (name,) if name in references else name.split(" − ")
+        return all(each in references or each.split(", ")[0] in samples for each in systems)
+
+    blocks = (replace(block, rows=tuple(row for row in block.rows if is_kept(row.name))) for block in result.blocks)
+    models = {row.name.split(", ")[0] for row in rows if not is_kept(row.name) and " − " not in row.name}
+
+    def without_models(lines: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(line for line in lines if not line.startswith(tuple(models)))
+
+    return replace(
+        result,
+        blocks=tuple(block for block in blocks if block.rows),
+        missing=without_models(result.missing),
+        notes=without_models(result.notes),
+        figure="",
+    )
+
+
 def to_markdown(result: Result) -> str:
     """The whole result as Markdown."""
     found = [f"# {result.title}", result.caption]

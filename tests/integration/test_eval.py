@@ -96,7 +96,7 @@ def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: 
     assert done.code == 0, done.stderr
     result = json.loads(done.stdout)
     notes = "\n".join(result["notes"])
-    assert "copy, 120 fps: 2 of 2 sequences are copies of sequences of real (test)" in notes
+    assert "copy holds copies of real (test): 120 fps (2 of 2)" in notes
     details = result["blocks"][0]["rows"][0]["cells"]["120 fps"]["details"]
     assert {"KID", "precision", "recall", "density", "coverage"} < set(details)
     # Too few clips for a line through covariances that are not singular.

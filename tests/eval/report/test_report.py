@@ -25,6 +25,7 @@ from eval.report.results import (
     pairs_of,
     read_result,
     said,
+    samples_only,
     score_differences,
     to_csv,
     to_html,
@@ -240,3 +241,21 @@ def test_pairs_without_the_best_row_are_shown_of_the_same_motions_alone() -> Non
     assert [*of_interest(block, every)] == [*with_best, *references]
     named = [(a, c), (b, planted), (b, c), (planted, c), (other, c)]
     assert [*of_interest(block, every, ["c"])] == [*named, *references]
+
+
+def test_samples_alone_can_be_published():
+    def row(name, origin="ours"):
+        return Row(name, origin, {"20 fps": Cell(1.0)})
+
+    scores = Block("scores", ("20 fps",), tuple(map(row, ("mine", "mine, planted", "NeRM", "NeRM, planted"))))
+    scores = replace(scores, rows=(row("real, SLERP", "reference"), *scores.rows, row("MDM (paper)", "paper")))
+    names = ("mine − NeRM", "mine − real, SLERP", "mine, planted − mine", "NeRM − real, SLERP")
+    differences = Block("differences", ("20 fps",), tuple(map(row, names)))
+    models = Block("models", ("20 fps",), (row("NeRM"),))
+    result = Result("t", "1", "T", "", (scores, differences, models), missing=("NeRM, 60 fps: none", "mine: short"))
+    shown = samples_only(replace(result, provenance={"samples": {"mine@20": "a", "mine@60": "b"}}))
+    assert [[each.name for each in block.rows] for block in shown.blocks] == [
+        ["real, SLERP", "mine", "mine, planted", "MDM (paper)"],
+        ["mine − real, SLERP", "mine, planted − mine"],
+    ]
+    assert shown.missing == ("mine: short",)
