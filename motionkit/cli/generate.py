@@ -7,7 +7,7 @@ import typer
 
 from motionkit.cli.console import AsJson, RunsFolder, parse_rate, print_json, progress, stderr, stdout
 from motionkit.core.errors import UsageError
-from motionkit.core.files import default_path
+from motionkit.core.files import default_path, is_store
 from motionkit.core.progress import task
 
 FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf"
@@ -80,7 +80,7 @@ def generate(
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants.
 
     Example: motionkit generate --unconditional --seconds 4 --fps 120 -n 4 --out made --format bvh"""
-    from motionkit.generate.models import SamplingOptions, load_model, model_of, warn_above_training, warn_unfamiliar
+    from motionkit.generate.models import SamplingOptions, load_model, model_loader, model_of, warn_above_training
     from motionkit.generate.output import Job, locked_output, output_format
     from motionkit.generate.request import (
         MotionsRequest,
@@ -89,7 +89,10 @@ def generate(
         parse_times,
         read_path,
     )
+    from motionkit.store import Store
     from motionkit.training.detail import load_detail
+    from motionkit.training.run import RunFolder
+    from motionkit.training.text import unfamiliar_texts
 
     if resume and overwrite:
         raise UsageError("--resume and --overwrite exclude each other")
@@ -112,8 +115,13 @@ def generate(
     sampling, learnt = SamplingOptions(guidance, sampler, sampling_steps), load_detail(place) if detail else None
     job = Job(request, loaded, place, output, seed, sampling, plant, learnt)
     warn_above_training(loaded, job.fps)
-    given = (each.text for script in request.motions for each in script)
-    warn_unfamiliar(loaded, name, place, list(dict.fromkeys(filter(None, given))))
+    requests = [each for script in request.motions for each in script]
+    given = list(dict.fromkeys(each.text for each in requests if each.text and not each.action))
+    if given and hasattr(loaded, "text_encoder"):
+        trained_on = Path(RunFolder(place).stage(model_loader(name).stages[-1]).read_config()["store"])
+        if is_store(trained_on):
+            for text, nearest in unfamiliar_texts(loaded.text_encoder, Store.open(trained_on), given).items():
+                stderr.print(f"motionkit: nothing like {text!r} in training: nearest {nearest!r}")
     num_motions = len(request.motions)
     if job.num_joined:
         stderr.print(

@@ -10,20 +10,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-
 from motionkit.core import plugins
 from motionkit.core.errors import UsageError
-from motionkit.core.files import is_store
 from motionkit.core.progress import warn
-from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate.constraints import Constraint, ConstraintKind
-from motionkit.training.run import Loader, RunFolder, installed_loaders, loader_named
-
-# Of held-out captions: how many are compared with training's, and the share whose nearest one is too far.
-NUM_HELD_OUT, UNLIKE_SHARE = 256, 0.05
+from motionkit.training.run import Loader, installed_loaders, loader_named
 
 
 @dataclass(frozen=True)
@@ -170,39 +163,3 @@ def warn_above_training(model: GenerativeModel, fps: Fraction) -> None:
             f"{float(fps):g} fps is above the {float(model.max_training_fps):g} fps of {model.name}'s fastest training "
             "data; detail beyond that is interpolated, not learned"
         )
-
-
-def warn_unfamiliar(model: GenerativeModel, name: str, run: Path, texts: Sequence[str]) -> None:
-    """Warn about texts that are less like any training caption than 95 % of held-out captions are, by cosines.
-
-    Silent where the store that the run was trained on, its cached embeddings or held-out captions are not at hand.
-    """
-    if not texts or not hasattr(model, "text_encoder"):
-        return
-    from motionkit.store.cache import cache_root
-    from motionkit.store.reader import Store
-    from motionkit.training.text import cached_embeddings, embed_texts
-
-    path = Path(RunFolder(run).stage(model_loader(name).stages[-1]).read_config()["store"])
-    if not is_store(path):
-        return
-    store, encoder = Store.open(path), model.text_encoder
-    rows, folder = store.columns("captions", "split"), cache_root(store.path, store.fingerprint)
-    texts_of: dict[str, set[str]] = {}
-    for captions, split in zip(rows["captions"], rows["split"], strict=True):
-        texts_of.setdefault(split, set()).update(each["text"] for each in captions)
-    known = cached_embeddings(encoder, sorted(texts_of.get("train", ())), folder)
-    held_out = sorted(texts_of.get("val", set()) | texts_of.get("test", set()))
-    held_out = held_out[:: len(held_out) // NUM_HELD_OUT + 1]
-    if not known or not held_out:
-        return
-    training = _unit(np.stack(list(known.values())))
-    cosines = _unit(embed_texts(encoder, [*held_out, *texts], folder)) @ training.T
-    least = np.quantile(cosines[: len(held_out)].max(axis=1), UNLIKE_SHARE)
-    for text, row in zip(texts, cosines[len(held_out) :], strict=True):
-        if row.max() < least:
-            warn(f"nothing like {text!r} in training: nearest {list(known)[int(row.argmax())]!r}")
-
-
-def _unit(rows: Float32[np.ndarray, "texts dimension"]) -> Float32[np.ndarray, "texts dimension"]:
-    return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))

@@ -29,8 +29,12 @@ from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
 from motionkit.core.files import parse_json, sha256_of, whole_file
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float32
-from motionkit.store.cache import writable
+from motionkit.store.cache import cache_root, writable
+from motionkit.store.reader import Store
 from motionkit.training.run import RunError
+
+# Of held-out captions: how many are compared with training's, and the share whose nearest one is too far.
+NUM_HELD_OUT, UNLIKE_SHARE = 256, 0.05
 
 
 @runtime_checkable
@@ -101,12 +105,27 @@ def embed_texts(encoder: TextEncoder, texts: Sequence[str], folder: Path) -> Flo
     return np.array(rows, dtype=np.float32).reshape(len(texts), encoder.dimension)
 
 
-def cached_embeddings(
-    encoder: TextEncoder, texts: Sequence[str], folder: Path
-) -> dict[str, Float32[np.ndarray, "dimension"]]:
-    """The embeddings of those texts that `embed_texts` has cached in `folder`."""
-    known = _read(folder / f"text-embeddings-{encoder.fingerprint[:16]}.safetensors")
-    return {text: known[_key(text)] for text in texts if _key(text) in known}
+def unfamiliar_texts(encoder: TextEncoder, store: Store, texts: Sequence[str]) -> dict[str, str]:
+    """Texts that are less like any training caption than 95 % of held-out ones are, by cosines; each with the nearest.
+
+    Empty without held-out captions, or where training has not cached its captions' embeddings beside the store.
+    """
+    rows, folder = store.columns("captions", "split"), cache_root(store.path, store.fingerprint)
+    texts_of: dict[str, set[str]] = {}
+    for captions, split in zip(rows["captions"], rows["split"], strict=True):
+        texts_of.setdefault(split, set()).update(each["text"] for each in captions)
+    cached = _read(folder / f"text-embeddings-{encoder.fingerprint[:16]}.safetensors")
+    known = {text: cached[_key(text)] for text in sorted(texts_of.get("train", ())) if _key(text) in cached}
+    held_out = sorted(texts_of.get("val", set()) | texts_of.get("test", set()))
+    held_out = held_out[:: len(held_out) // NUM_HELD_OUT + 1]
+    if not known or not held_out:
+        return {}
+    embeddings = embed_texts(encoder, [*known, *held_out, *texts], folder)
+    embeddings = embeddings / np.linalg.norm(embeddings, axis=1, keepdims=True)
+    cosines = embeddings[len(known) :] @ embeddings[: len(known)].T
+    least = np.quantile(cosines[: len(held_out)].max(axis=1), UNLIKE_SHARE)
+    nearest = {text: row for text, row in zip(texts, cosines[len(held_out) :], strict=True) if row.max() < least}
+    return {text: list(known)[int(row.argmax())] for text, row in nearest.items()}
 
 
 def _key(text: str) -> bytes:

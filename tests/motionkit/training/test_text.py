@@ -4,6 +4,7 @@ import json
 import shutil
 import socket
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,18 @@ import pytest
 import torch
 from safetensors.numpy import load_file, save, save_file
 
+import motionkit as mk
 import motionkit.training.text
 from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
-from motionkit.training.text import WEIGHTS_SHA256, check_weights, embed_texts, load_text_encoder, load_transformers
+from motionkit.store.cache import cache_root
+from motionkit.training.text import (
+    WEIGHTS_SHA256,
+    check_weights,
+    embed_texts,
+    load_text_encoder,
+    load_transformers,
+    unfamiliar_texts,
+)
 from tests.helpers.plugin_lists import install_only
 
 transformers = pytest.importorskip("transformers", reason="needs the extra motionkit[text]")
@@ -171,6 +181,25 @@ def test_a_damaged_cache_is_computed_anew_and_that_is_said(content, tmp_path, re
     assert encoder.asked == ["walk", "jump"]
     assert any("anew" in str(each.message) for each in recwarn)
     assert file.read_bytes() == whole
+
+
+def test_texts_unlike_training_are_named_with_the_nearest_caption(tmp_path: Path) -> None:
+    angles = {"walk": 0.0, "run": 0.5, "jog": 0.4, "stroll": 0.2, "swim": 1.5}
+
+    class OnACircle(CountingEncoder):
+        def encode(self, texts):
+            return np.array([[np.cos(angles[text]), np.sin(angles[text])] for text in texts], np.float32)
+
+    texts = {"train": ("walk", "run"), "test": ("jog", "stroll")}
+    still, grid = np.zeros((4, 22, 3), np.float32), mk.TimeGrid(Fraction(20), 4)
+    with mk.StoreWriter.create(tmp_path / "store") as writer:
+        for split, captions in texts.items():
+            found = tuple(map(mk.Caption, captions))
+            writer.add(mk.Motion(still, mk.SMPL22, grid, captions=found, split=split, sequence_id=split))
+    store = mk.Store.open(tmp_path / "store")
+    assert unfamiliar_texts(OnACircle(), store, ["swim"]) == {}  # nothing was trained with this encoder
+    embed_texts(OnACircle(), ["walk", "run"], cache_root(store.path, store.fingerprint))
+    assert unfamiliar_texts(OnACircle(), store, ["swim", "jog", "walk"]) == {"swim": "run"}
 
 
 def test_folders_and_hub_names_go_to_the_encoder_for_them(monkeypatch: pytest.MonkeyPatch) -> None:
