@@ -6,8 +6,9 @@ Generation is what `NermModel` does for unconditional motions: diffusion, coordi
 (files are left out). Weights are those of a run, or random ones of a recipe's sizes (what it costs does not depend on
 their values). The field's cached grids are cleared before each repeat, so that the coordinate branch is timed as well.
 
-The peak is measured: torch.mm at the decoder's own shapes, [poses × hidden] · [hidden × hidden], one after another. The
-decoder's rate counts the multiplications and additions of its matrix products alone, over all the time it takes.
+The peak is measured: the quicker of torch.mm (MKL) and `nerm.network.Linear` (oneDNN where the processor has it) at the
+decoder's own shapes, [poses × hidden] · [hidden × hidden], one after another. The decoder's rate counts the
+multiplications and additions of its matrix products alone, over all the time it takes.
 
 CPU seconds, one thread; the best of the repeats.
 """
@@ -26,7 +27,7 @@ from motionkit.generate.models import GenerationRequest
 from motionkit.training.networks import ConditionSizes, VectorScaling
 from nerm.latents import LatentSpace, first_read, local_latents
 from nerm.model import NermModel, TrainedDenoiser, TrainedField, load
-from nerm.network import Denoiser, FieldNetwork
+from nerm.network import Denoiser, FieldNetwork, Linear
 from nerm.recipes import RECIPES
 
 SECONDS = 9.8
@@ -107,7 +108,7 @@ def generation_costs(model: NermModel, motions: int, repeats: int) -> dict[str, 
 
 
 def decoding_rate(model: NermModel, repeats: int) -> dict[str, object]:
-    """The decoder's matrix products per second at 120 fps, relative to torch.mm's at the same shapes."""
+    """The decoder's matrix products per second at 120 fps, relative to plain products at the same shapes."""
     field = field_of(model)
     config, fps = field.config, RATES[-1]
     times = np.arange(round(SECONDS * float(fps))) / float(fps)
@@ -120,12 +121,18 @@ def decoding_rate(model: NermModel, repeats: int) -> dict[str, object]:
         field.decode_vectors(latent, encoded, fps)
     flops = counter.get_total_flops()
 
+    linears = [Linear(config.decoder.width, config.decoder.width, bias=False) for _ in weights]
+
     def products() -> None:
         for weight in weights:
             torch.mm(hidden, weight.T)
 
+    def linear_products() -> None:
+        for linear in linears:
+            linear(hidden)
+
     with torch.inference_mode():
-        peak = inner / cpu_seconds(products, repeats)
+        peak = inner / min(cpu_seconds(products, repeats), cpu_seconds(linear_products, repeats))
         network = flops / cpu_seconds(lambda: field.decode_vectors(latent, encoded, fps), repeats)
         positions = flops / cpu_seconds(lambda: field.poses(latent[0], times, fps), repeats)
     return {
@@ -169,7 +176,7 @@ def _print(report: dict) -> None:
         print(f"  at {fps:>3} fps           {1000 * seconds:8.1f} ms CPU")
     print(f"  of which diffusion   {1000 * report['of_which_diffusion']:8.1f} ms")
     print(f"  120 fps over 20 fps  {report['ratio']:8.2f}")
-    print(f"decoding {rates['poses']} poses; floor: torch.mm at the same shapes")
+    print(f"decoding {rates['poses']} poses; floor: plain products at the same shapes")
     print(f"  floor                {rates['floor_gflops']:8.1f} GFLOP/s")
     print(f"  decoder              {rates['decoder_gflops']:8.1f} GFLOP/s  {rates['share_of_floor']:6.1%}")
     share = rates["share_of_floor_to_joint_positions"]
