@@ -12,6 +12,8 @@ from nerm.latents import in_use, local_latents, placed
 from nerm.recipes import Activation, EncoderConfig, FieldConfig, TransformerConfig
 
 REFERENCE_FPS = 20.0
+# Of so many poses a layer's activations stay in a core's cache.
+POSES_IN_CACHE = 600
 NUM_LOGITS, CONTACT_WIDTH, DURATION_FREQUENCIES = 4, 128, 8
 
 
@@ -289,14 +291,21 @@ class FieldNetwork(nn.Module):
         options = {}
         if num_context and self.config.decoder.kind == "transformer":
             options["src_mask"] = context_mask(num_context, hidden.shape[1], hidden.device)
-        for layer in self.layers:
-            hidden = layer(hidden, **options)
-        vectors: Tensor = self.output(self.finish(hidden))
+        at_once = hidden.shape[1] if self.config.decoder.kind == "transformer" else POSES_IN_CACHE
+        vectors = torch.cat([self._through_layers(poses, **options) for poses in hidden.split(at_once, dim=1)], dim=1)
         if self.linear is None or path is None:
             # Without a coordinate (`none` with a global latent) a window is one constant pose.
             return vectors.expand(-1, encoded.which.shape[1], -1)
         with torch.autocast(vectors.device.type, enabled=False):  # bfloat16 is too coarse for a path
             return placed(vectors.float() + self.linear(inputs), path)
+
+    def _through_layers(
+        self, hidden: Float[Tensor, "batch poses width"], **options: Tensor
+    ) -> Float[Tensor, "batch poses numbers"]:
+        for layer in self.layers:
+            hidden = layer(hidden, **options)
+        vectors: Tensor = self.output(self.finish(hidden))
+        return vectors
 
     def forward(
         self,
