@@ -10,7 +10,6 @@ from motionkit.cli.console import AsJson, RunsFolder, print_json, progress, stde
 from motionkit.cli.train import Job, narrowed, train_all
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.files import default_path
-from motionkit.store.commit import read_manifest
 from motionkit.training.ablations import Variant, find_ablations, run_of
 from motionkit.training.run import RunFolder, StageContext
 
@@ -36,6 +35,8 @@ def ablate(
 
     Example: motionkit ablate 5 --list
     """
+    from motionkit.store.commit import read_manifest  # deferred: help loads no numpy
+
     ablations = find_ablations(paper)
     names = list(ablations.tables) if tables == ["all"] or (listing and not tables) else tables or []
     for name in names or [""]:

@@ -25,7 +25,6 @@ from motionkit.core import plugins
 from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import ignore, task
-from motionkit.store.reader import conjunction
 from motionkit.training.config import (
     apply_overrides,
     flatten,
@@ -181,6 +180,8 @@ def narrowed(stages: tuple[Stage[Any], ...], configs: list[Any], where: str) -> 
 
     Raises `UsageError` if no stage has such a setting.
     """
+    from motionkit.store.reader import conjunction  # deferred: help loads no numpy
+
     settings = [
         {key: value for key, value in flatten(config).items() if key.rpartition(".")[2] == "where"}
         for config in configs
