@@ -20,6 +20,7 @@ from eval.sets.motions import NoRealMotionError, real_motion, training_motion
 from eval.sets.sets import REAL, RowId, SampleSet, Variant
 from eval.tables.systems import Column, detail_blocks, generated_at, generated_fields, label, real_column, samples_at
 from eval.tables.table import Content, EvalConfig, Table
+from motionkit.core.errors import counted
 from motionkit.core.progress import task
 from motionkit.core.shapes import Float64
 from motionkit.generate.models import installed_models
@@ -109,7 +110,8 @@ def compute(config: EvalConfig, store: Store) -> Content:
             with task(config.on_progress, f"{row}, {label(column.fps)}", samples.num_sequences) as work:
                 rows[row] = measured(samples, work.advance)
             trained = training.get(row.system, "") if row.variant is Variant.AS_IS else ""
-            size = f"{samples.num_takes} takes, {samples.num_sequences} motions, {samples.duration_seconds:.0f} s"
+            size = f"{counted(samples.num_takes, 'take')}, {counted(samples.num_sequences, 'motion')}"
+            size += f", {samples.duration_seconds:.0f} s"
             notes[row] = "; ".join(filter(None, (size, trained)))
         for title, metrics, note in (
             ("Per second", OURS, NOTE),

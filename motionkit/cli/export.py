@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from motionkit.cli.console import AsJson, Onto, Where, parse_rate, print_json, progress, read_options, stderr, stdout
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
 
@@ -70,8 +70,8 @@ def export(
     if as_json:
         print_json({**asdict(report), "folder": str(report.folder)})
         return
-    size = f"{report.num_files:,} files, {report.num_bytes / 1e6:,.1f} MB"
-    stdout.print(f"wrote {report.num_sequences:,} sequences to {report.folder}: {size}")
+    size = f"{counted(report.num_files, 'file')}, {report.num_bytes / 1e6:,.1f} MB"
+    stdout.print(f"wrote {counted(report.num_sequences, 'sequence')} to {report.folder}: {size}")
     if report.left_out:
         counts = Counter(outcome.reason for outcome in report.left_out).most_common()
         reasons = ", ".join(f"{count:,} {reason}" for reason, count in counts)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.cli.console import AsJson, RunsFolder, print_json, progress, stdout
-from motionkit.core.errors import StoreError, UsageError
+from motionkit.core.errors import StoreError, UsageError, counted
 from motionkit.core.files import default_path, require_empty, whole_folder
 from motionkit.core.progress import task
 
@@ -77,7 +77,7 @@ def push(
         return
     for name in licences:
         stdout.print(f"  licence: {name}")
-    done = f"{'would push' if dry_run else 'pushed'} {len(files):,} files, {size / 1e6:,.1f} MB, to {address}"
+    done = f"{'would push' if dry_run else 'pushed'} {counted(len(files), 'file')}, {size / 1e6:,.1f} MB, to {address}"
     stdout.print(f"{done} ({url})" if url else done)
 
 

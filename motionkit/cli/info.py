@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from motionkit.cli.console import Up, named_store, print_json, stderr, stdout
-from motionkit.core.errors import UsageError
+from motionkit.cli.console import Overwrite, Up, named_store, print_json, stderr, stdout
+from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import default_path, is_store
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ def info(
     init: Annotated[
         Path | None, typer.Option(metavar="RIG.TOML", help="Draft a map of FILE's rig, for --skeleton-map.")
     ] = None,
+    overwrite: Overwrite = False,
     quality: Annotated[
         bool, typer.Option("--quality", help="Say what looks odd: flags, worst sequences, upsampled ones.")
     ] = False,
@@ -47,7 +48,7 @@ def info(
     if path is not None and not is_store(path):
         if store is not None or quality or where:
             raise UsageError("FILE goes with --up, --init and --json alone")
-        _show_file(path, up, init, as_json)
+        _show_file(path, up, init, as_json, overwrite=overwrite)
         return
     if init is not None or up is not None:
         raise UsageError("--init and --up are about a file: name a FILE")
@@ -70,7 +71,7 @@ def _print_lines(lines: Iterable[str]) -> None:
         stdout.print(line)
 
 
-def _show_file(path: Path, up: str | None, init: Path | None, as_json: bool) -> None:
+def _show_file(path: Path, up: str | None, init: Path | None, as_json: bool, *, overwrite: bool) -> None:
     from motionkit.core.errors import FormatError
     from motionkit.core.files import write_whole
     from motionkit.core.skeletons.mapping import draft_map
@@ -78,8 +79,8 @@ def _show_file(path: Path, up: str | None, init: Path | None, as_json: bool) -> 
     from motionkit.io.scan import NO_FRAMERATE
     from motionkit.store.reports import describe_motion
 
-    if init is not None and init.exists():
-        raise UsageError(f"{init} exists: name another file, or delete it")
+    if init is not None and init.exists() and not overwrite:
+        raise UsageError(f"{init} exists: --overwrite replaces it")
     has_framerate = True
     try:
         motion = next(read_all(path, up=up))
@@ -106,7 +107,7 @@ def _file_lines(described: dict[str, Any]) -> Iterator[str]:
         yield f"height      {described['height_metres']:.3g} m from ankles to head"
     yield f"unit        {described['unit_metres']:g} m ({described['unit']})"
     yield f"up          {described['up']}"
-    yield f"skeleton    {described['skeleton']}: {described['num_joints']} joints, {rotations}, {maps}"
+    yield f"skeleton    {described['skeleton']}: {counted(described['num_joints'], 'joint')}, {rotations}, {maps}"
     if described["missing"]:
         yield f"missing     {', '.join(described['missing'])}"
     yield f"captions    {described['num_captions']:,}"
@@ -117,11 +118,11 @@ def _file_lines(described: dict[str, Any]) -> Iterator[str]:
 def _quality_lines(report: dict[str, Any]) -> Iterator[str]:
     """Flags per source, the worst sequences of each flag, what seems upsampled."""
     chosen = f" where {report['where']}" if report["where"] else ""
-    yield f"{report['store']}: {report['num_sequences']:,} sequences{chosen}"
+    yield f"{report['store']}: {counted(report['num_sequences'], 'sequence')}{chosen}"
     for source in report["sources"]:
         yield ""
         name = source["source"] or "(unnamed)"
-        yield f"source {name}: {source['num_sequences']:,} sequences, {source['hours']:.2f} h"
+        yield f"source {name}: {counted(source['num_sequences'], 'sequence')}, {source['hours']:.2f} h"
         for flag, count in {"no flag": source["clean"], **source["flags"]}.items():
             yield f"  {flag:14}{count['num_sequences']:>8,}  {count['hours']:8.2f} h"
     for worst in report["worst"]:
@@ -142,15 +143,15 @@ def _quality_lines(report: dict[str, Any]) -> Iterator[str]:
 
 def _summary_lines(summary: "StoreSummary") -> Iterator[str]:
     yield (
-        f"{summary.path}: {summary.num_sequences:,} sequences, {summary.hours:.2f} h, {summary.num_frames:,} frames, "
-        f"{summary.num_skeletons:,} skeletons"
+        f"{summary.path}: {counted(summary.num_sequences, 'sequence')}, {summary.hours:.2f} h, "
+        f"{counted(summary.num_frames, 'frame')}, {counted(summary.num_skeletons, 'skeleton')}"
     )
     for source in summary.sources:
         yield ""
         yield from _source_lines(source)
     yield ""
     disk, caches = summary.disk_bytes / MEGABYTE, summary.cache_bytes / MEGABYTE
-    yield f"on disk {disk:,.1f} MB in {summary.num_parts:,} parts; caches {caches:,.1f} MB"
+    yield f"on disk {disk:,.1f} MB in {counted(summary.num_parts, 'part')}; caches {caches:,.1f} MB"
     if summary.num_removed:
         yield (
             f"of it the frames of {summary.num_removed:,} removed sequences: 'motionkit compact --store "
@@ -160,9 +161,11 @@ def _summary_lines(summary: "StoreSummary") -> Iterator[str]:
 
 
 def _source_lines(source: "SourceSummary") -> Iterator[str]:
-    captions = f"{source.num_captions:,} on {source.num_captioned:,} sequences" if source.num_captions else "none"
+    captions = (
+        f"{source.num_captions:,} on {counted(source.num_captioned, 'sequence')}" if source.num_captions else "none"
+    )
     yield f"source      {source.source or '(unnamed)'}"
-    yield f"sequences   {source.num_sequences:,}, {source.hours:.2f} h, {source.num_frames:,} frames"
+    yield f"sequences   {source.num_sequences:,}, {source.hours:.2f} h, {counted(source.num_frames, 'frame')}"
     yield f"fps         {_counts(source.framerates)}"
     yield f"durations   {_counts(source.durations)}"
     yield f"splits      {_counts(source.splits)}"

@@ -21,7 +21,7 @@ from motionkit.cli.console import (
     stderr,
     stdout,
 )
-from motionkit.core.errors import FormatError, MotionkitError, UsageError
+from motionkit.core.errors import FormatError, MotionkitError, UsageError, counted
 from motionkit.core.files import default_path
 
 if TYPE_CHECKING:
@@ -160,8 +160,8 @@ def ingest(
 def _print_summary(report: "IngestReport", of_store: str) -> None:
     stored = report.stored
     stdout.print(
-        f"stored {stored.num_sequences:,} sequences ({stored.duration_seconds / 3600:.2f} h, {stored.num_frames:,} "
-        f"frames) in {report.store}, which holds {report.num_in_store:,}",
+        f"stored {counted(stored.num_sequences, 'sequence')} ({stored.duration_seconds / 3600:.2f} h, "
+        f"{counted(stored.num_frames, 'frame')}) in {report.store}, which holds {report.num_in_store:,}",
     )
     if report.num_already_stored:
         stdout.print(f"already there: {report.num_already_stored:,}, as they were (--overwrite makes the store anew)")
@@ -181,7 +181,7 @@ def _print_summary(report: "IngestReport", of_store: str) -> None:
     if stored.num_flagged:
         flags = ", ".join(f"{count:,} {flag}" for flag, count in stored.flags.most_common())
         stdout.print(
-            f"quality: {stored.num_flagged:,} sequences have flags ({flags}); "
+            f"quality: {counted(stored.num_flagged, 'sequence')} with flags ({flags}); "
             f"'motionkit info --quality{of_store}' lists them"
         )
     by = "" if stored.num_with_performer == stored.num_sequences else " --by sequence_id"

@@ -16,7 +16,7 @@ from motionkit.cli.console import (
     progress,
     stdout,
 )
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
 
@@ -48,7 +48,9 @@ def validate(
     if as_json:
         print_json({"store": str(path), "fingerprint": manifest.fingerprint, "faults": found})
     else:
-        intact = f"{path} is intact: {manifest.num_sequences:,} sequences, {len(manifest.files)} files"
+        intact = (
+            f"{path} is intact: {counted(manifest.num_sequences, 'sequence')}, {counted(len(manifest.files), 'file')}"
+        )
         for line in found or [intact]:
             stdout.print(line)
     if found:
@@ -111,7 +113,7 @@ def split(
             f"{each.num_sequences:12,}{seen:>16}",
         )
     doing = "would change" if dry_run else "changed"
-    stdout.print(f"{doing} the split of {report.num_changed:,} sequences of {report.store}, by {report.by}")
+    stdout.print(f"{doing} the split of {counted(report.num_changed, 'sequence')} of {report.store}, by {report.by}")
     if unseen_wordings:
         doing = "would remove" if dry_run else "removed"
         stdout.print(f"{doing} {report.num_captions_removed:,} captions of train whose words val or test has")
@@ -169,14 +171,14 @@ def remove(
             stdout.print(f"  {sequence_id}")
         if len(removed) > SHOWN_IDS:
             stdout.print(f"  and {len(removed) - SHOWN_IDS:,} more: --json names all")
-        stdout.print(f"would remove {len(removed):,} sequences from {path}")
+        stdout.print(f"would remove {counted(len(removed), 'sequence')} from {path}")
         return
     manifest = read_manifest(path)
     if as_json:
         counts = {"sequences_in_store": manifest.num_sequences, "sequences_to_compact": manifest.num_removed}
         print_json({"store": str(path), "removed": removed, **counts})
         return
-    stdout.print(f"removed {len(removed):,} sequences from {path}, which holds {manifest.num_sequences:,}")
+    stdout.print(f"removed {counted(len(removed), 'sequence')} from {path}, which holds {manifest.num_sequences:,}")
     if manifest.num_removed:
         stdout.print(f"their frames leave the disk with 'motionkit compact --store {path}'")
 
@@ -201,7 +203,9 @@ def merge(
         counts = {"stored": report.num_stored, "already_stored": report.num_already_stored}
         print_json({"store": str(report.store), **counts, "sequences_in_store": report.num_in_store})
         return
-    stdout.print(f"stored {report.num_stored:,} sequences in {report.store}, which holds {report.num_in_store:,}")
+    stdout.print(
+        f"stored {counted(report.num_stored, 'sequence')} in {report.store}, which holds {report.num_in_store:,}"
+    )
     if report.num_already_stored:
         stdout.print(f"already there: {report.num_already_stored:,}")
 
@@ -232,6 +236,6 @@ def compact(store: ChangedStore = None, as_json: AsJson = False) -> None:
         stdout.print(f"{path} is compact already")
         return
     stdout.print(
-        f"{path}: {len(before.parts):,} parts, {before.num_bytes / MEGABYTE:,.1f} MB, became {len(after.parts):,}, "
-        f"{after.num_bytes / MEGABYTE:,.1f} MB",
+        f"{path}: {counted(len(before.parts), 'part')}, {before.num_bytes / MEGABYTE:,.1f} MB, became "
+        f"{len(after.parts):,}, {after.num_bytes / MEGABYTE:,.1f} MB",
     )

@@ -23,7 +23,7 @@ from motionkit.cli.console import (
     stderr,
     stdout,
 )
-from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.errors import MotionkitError, UsageError, counted
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
 from motionkit.viz import MOST_MOTIONS
@@ -102,7 +102,7 @@ def view(
     sources, problems = find_motions(clips or (), options, store or default_path("store"), where)
     if len(sources) > limit:
         which = "unlike ones" if sources[0].kind else "the first"
-        stderr.print(f"motionkit: {limit} of {len(sources):,} motions are shown, {which}: --limit shows more")
+        stderr.print(f"motionkit: {limit} of {counted(len(sources), 'motion')} are shown, {which}: --limit shows more")
         sources = spread(sources, limit)
     page = page_path(out, sources, film or PAGE_SUFFIX) if sources else Path()
     if sources and page.exists() and not overwrite:
@@ -170,7 +170,7 @@ def _write_cards(
         unshown = [{"clip": name, "message": message} for name, message in failures]
         print_json({"page": str(page), "bytes": num_bytes, "sequences": len(indices), "failed": unshown})
     else:
-        stdout.print(f"{page}: {len(indices) - len(failures):,} sequences, {num_bytes / 1e6:.1f} MB")
+        stdout.print(f"{page}: {counted(len(indices) - len(failures), 'sequence')}, {num_bytes / 1e6:.1f} MB")
     if open_page:
         _open(page)
     if failures:

@@ -109,6 +109,11 @@ def suggestion(word: str, known: Iterable[str]) -> str:
     return f" (did you mean {near[0]}?)" if near else ""
 
 
+def counted(number: int, noun: str) -> str:
+    """A number and its noun: "1 sequence", "1,204 sequences"."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def printable(text: str) -> str:
     """A text as one line that is safe on a terminal: control characters as escapes (`\\x1b`, `\\n`).
 

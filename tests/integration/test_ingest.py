@@ -27,7 +27,7 @@ def test_the_first_ingest_makes_a_store_and_the_next_adds_to_it(motionkit, takes
     (takes / "delta.bvh").write_text(bvh_text(7))
     second = motionkit("ingest", takes, "--store", store, "--workers", 1)
     assert (second.code, second.stderr) == (0, "")
-    assert second.stdout.startswith("stored 1 sequences (0.00 h, 7 frames) in ")
+    assert second.stdout.startswith("stored 1 sequence (0.00 h, 7 frames) in ")
     assert "already there: 3" in second.stdout
     assert ids(store)[3:] == ["takes/delta"]
     assert motionkit("validate", "--store", store).code == 0

@@ -35,7 +35,7 @@ def test_info_of_a_store(motionkit, store):
     outcome = motionkit("info", "--store", store)
     assert outcome.code == 0
     lines = outcome.stdout.splitlines()
-    assert lines[0] == f"{store}: 3 sequences, 0.00 h, 15 frames, 1 skeletons"
+    assert lines[0] == f"{store}: 3 sequences, 0.00 h, 15 frames, 1 skeleton"
     assert {
         "fps         30 (3)",
         "splits      none (1), test (1), train (1)",
@@ -133,7 +133,7 @@ def test_a_store_is_no_source(motionkit, store, takes, tmp_path):
 def test_remove_and_compact(motionkit, store):
     first, second, third = ids(store)
     outcome = motionkit("remove", second, "--store", store)
-    assert (outcome.code, outcome.stdout) == (0, f"removed 1 sequences from {store}, which holds 2\n")
+    assert (outcome.code, outcome.stdout) == (0, f"removed 1 sequence from {store}, which holds 2\n")
     assert ids(store) == [first, third]
     outcome = motionkit("compact", "--store", store)
     assert outcome.code == 0 and outcome.stdout.startswith(f"{store}: 2 parts, ")

@@ -36,6 +36,7 @@ from eval.tables.systems import (
     score_column,
 )
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, name_and_fps, printed_block, reported_figures
+from motionkit.core.errors import counted
 from motionkit.core.progress import task
 from motionkit.generate.models import installed_models
 from motionkit.store.reader import Store
@@ -213,6 +214,6 @@ def copies_block(held_out: SampleSet, training: SampleSet, others: Mapping[RowId
             continue
         cells = {COPIED: Cell(100.0 * float((nearest.relative < limit).mean()))}
         cells |= {name: Cell(1000.0 * float(np.quantile(nearest.distance, share))) for name, share in SHARES.items()}
-        note = f"{len(np.unique(nearest.motion))} motions, {len(nearest.distance)} windows"
+        note = f"{counted(len(np.unique(nearest.motion)), 'motion')}, {counted(len(nearest.distance), 'window')}"
         rows.append(Row(str(row), "reference" if row == HELD_OUT else "ours", cells, note))
     return Block(COPIES, (COPIED, *SHARES), tuple(rows), note=COPIES_NOTE, provenance={"limit": limit})
