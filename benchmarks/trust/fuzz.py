@@ -35,7 +35,7 @@ from motionkit.core.errors import MotionkitError, StoreError
 from motionkit.core.skeletons.mapping import read_skeleton_map
 from motionkit.generate.request import read_prompts
 from motionkit.io.indexes import read_index
-from motionkit.io.registry import ReadOptions, readers
+from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import read, read_rules, scan
 from motionkit.store import Store
 from motionkit.store.validate import faults
@@ -115,9 +115,9 @@ def all_targets() -> Iterator[Target]:
     def each(reader: Callable[[Path], object]) -> Use:
         return lambda folder: [reader(path) for path in sorted(folder.iterdir())]
 
-    for name in readers():
+    for name, make in SOURCES.items():
         options = STATED if name in ("asfamc", "joints-npy") else ReadOptions()
-        yield Target(name, SOURCES[name], partial(read_folder, options=options))
+        yield Target(name, make, partial(read_folder, options=options))
     for side, (format_name, name, data) in BESIDE.items():
         options = STATED if side == "skeleton" else ReadOptions()
         make = beside(format_name, name, data)

@@ -24,7 +24,7 @@ from pathlib import Path
 import torch
 from motionkit.training import loop
 from motionkit.training.loop import step_generator
-from motionkit.training.loop import joined_ranks
+from motionkit.training.networks import joined_ranks
 from tests.helpers.tiny import STAGES, train_stage
 
 def interrupting(seed, purpose, step):

@@ -114,6 +114,6 @@ def test_what_stands_still_or_is_short_has_no_windows(windows: TrainingWindows) 
 
 def test_the_block_separates_a_model_that_copies_from_one_that_does_not() -> None:
     models = {RowId("copies"): as_set(TAKE, elsewhere(TAKE)), RowId("invents"): as_set(swinging(50, 6.0))}
-    block = copies_block(FRESH, TRAINING, models, {})
+    block = copies_block(FRESH, TRAINING, models)
     shares = {row.name: row.cells[COPIED].value for row in block.rows}
     assert shares["copies"] > 90 and shares["invents"] < 10 and shares[str(HELD_OUT)] <= 2
