@@ -501,6 +501,8 @@ def _sampled(
             (1 + 2 * t) * (1 - t) ** 2 * at[start] + t**2 * (3 - 2 * t) * at[end] + t * (t - 1) * step[:, None] * bend
         )
     elif is_rotation:
+        if not np.square(values).sum(axis=1).min() > 0.0:
+            raise ValueError("a rotation of length 0")
         sampled = kinematics.quaternion_slerp(values[start], values[end], share)
     else:
         sampled = (1 - t) * values[start] + t * values[end]
@@ -523,7 +525,7 @@ def _world(
     num_frames = max(map(len, world.values()))
     every = np.stack([np.broadcast_to(world[joint], (num_frames, 4, 4)) for joint in order], axis=1)
     sizes = np.linalg.norm(every[..., :3, :3], axis=-2, keepdims=True)
-    if sizes.min() < 1e-9 * sizes.max():
+    if not sizes.min() > 1e-9 * sizes.max():
         raise ValueError("a node that flattens")
     return every[..., :3, :3] / sizes, every[..., :3, 3]
 
@@ -544,7 +546,10 @@ def _matrices(node: dict[str, Any]) -> Float64[np.ndarray, "frames 4 4"]:
         return np.array(node["matrix"], np.float64).reshape(1, 4, 4).swapaxes(1, 2)
     rest = {"rotation": (0, 0, 0, 1), "scale": (1, 1, 1), "translation": (0, 0, 0)}
     rotation, scale, place = (np.atleast_2d(np.array(node.get(name, own), np.float64)) for name, own in rest.items())
-    rotation = rotation / np.linalg.norm(rotation, axis=-1, keepdims=True)
+    lengths = np.linalg.norm(rotation, axis=-1, keepdims=True)
+    if not lengths.min() > 0.0:
+        raise ValueError("a rotation of length 0")
+    rotation = rotation / lengths
     matrices = np.zeros((max(map(len, (rotation, scale, place))), 4, 4))
     matrices[:, :3, :3] = kinematics.quaternion_to_matrix(rotation[:, [3, 0, 1, 2]]) * scale[:, None]
     matrices[:, :3, 3], matrices[:, 3, 3] = place, 1.0
@@ -568,7 +573,7 @@ def _without_matrix(node: dict[str, Any]) -> dict[str, Any]:
 def _rotation(matrix: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "3 3"]:
     """The rotation of a matrix, without its scale."""
     u, sizes, vt = np.linalg.svd(matrix[:3, :3])
-    if sizes[-1] < 1e-9 * sizes[0] or np.linalg.det(u @ vt) < 0:
+    if not sizes[-1] > 1e-9 * sizes[0] or np.linalg.det(u @ vt) < 0:
         raise ValueError("a node that flattens or mirrors")
     return np.asarray(u @ vt)
 
