@@ -1,1 +1,1 @@
-"""Other people's systems, one file each: those that generate motion, and those that complete it as PA-HiRes does."""
+"""Other people's systems, a file for each kind of network: those that generate motion, and those that complete it."""
