@@ -27,7 +27,15 @@ import numpy.typing as npt
 import scipy.fft
 from threadpoolctl import ThreadpoolController
 
-from eval.metrics.distributions import Gaussian, fid_infinity, fit_gaussian, frechet_distance, kid, prdc
+from eval.metrics.distributions import (
+    fid_infinity,
+    fit_gaussian,
+    frechet_distance,
+    kernel_mean,
+    kid,
+    prdc,
+    squared_radii,
+)
 from eval.metrics.metric import Metric
 from eval.metrics.number import (
     RESAMPLINGS,
@@ -527,7 +535,7 @@ class Comparison:
         def replicate(replication: int) -> tuple[dict[RowKey, dict[str, float]], list[tuple[Clips, Features]]]:
             clips = draw_clips(real, protocol, replication, REAL)
             reference = self._describe_real(clips)
-            gaussian = fit_gaussian(reference)
+            compare = self._comparer(reference, replication)
             scores, described = {}, [(clips, reference)]
             for name, samples in rows.items():
                 among = None
@@ -537,7 +545,7 @@ class Comparison:
                     among = rng.choice(long_enough, size=min(subsets[name], len(long_enough)), replace=False)
                 clips = draw_clips(samples, protocol, replication, OTHER, among)
                 features = describers[name](clips)
-                scores[name] = self._compared(reference, gaussian, features, replication)
+                scores[name] = compare(features)
                 if name in resampled:
                     described.append((clips, features))
             return scores, described
@@ -575,7 +583,7 @@ class Comparison:
                 self._describe_real(draw_clips(real, protocol, replication, side, among))
                 for side, among in ((REAL, order[:middle]), (OTHER, order[middle:]))
             )
-            return self._compared(first, fit_gaussian(first), second, replication)
+            return self._comparer(first, replication)(second)
 
         replications = []
         num_clips = protocol.replications * protocol.num_clips
@@ -584,16 +592,24 @@ class Comparison:
             on_replication()
         return self._summarised(replications, (), True)
 
-    def _compared(self, real: Features, gaussian: Gaussian, other: Features, replication: int) -> dict[str, float]:
-        """clip-FID, and in detailed replications all further metrics; the first distribution is that of `real`."""
-        scores = {"clip_fid": frechet_distance(gaussian, fit_gaussian(other))}
-        if replication < self.protocol.detailed_replications:
-            # FID∞ needs more than four clips per feature.
-            with suppress(ValueError):
-                rng = np.random.default_rng((self.protocol.seed, replication, 4))
-                scores["fid_infinity"] = fid_infinity(real, other, rng)
-            scores |= {"kid": kid(real, other), **prdc(real, other, self.protocol.num_neighbours)}
-        return scores
+    def _comparer(self, real: Features, replication: int) -> Callable[[Features], dict[str, float]]:
+        """clip-FID of features with those of `real`, and in detailed replications all further metrics."""
+        gaussian, num_neighbours = fit_gaussian(real), self.protocol.num_neighbours
+        is_detailed = replication < self.protocol.detailed_replications
+        if is_detailed:
+            kernel, radii = kernel_mean(real), squared_radii(real, num_neighbours)
+
+        def compare(other: Features) -> dict[str, float]:
+            scores = {"clip_fid": frechet_distance(gaussian, fit_gaussian(other))}
+            if is_detailed:
+                # FID∞ needs more than four clips per feature.
+                with suppress(ValueError):
+                    rng = np.random.default_rng((self.protocol.seed, replication, 4))
+                    scores["fid_infinity"] = fid_infinity(real, other, rng)
+                scores |= {"kid": kid(real, other, kernel), **prdc(real, other, num_neighbours, radii)}
+            return scores
+
+        return compare
 
     def _summarised(self, replications: list[dict[str, float]], resampled: Resampled, single_sets: bool) -> Number:
         """The mean; where each replication had its own takes, with the interval of a single one."""

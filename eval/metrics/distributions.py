@@ -130,20 +130,25 @@ def fid_infinity(
     return float(limit)
 
 
-def kid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"]) -> float:
+def kid(
+    real: Float[np.ndarray, "n features"],
+    generated: Float[np.ndarray, "m features"],
+    real_kernel: float | None = None,
+) -> float:
     """Unbiased squared MMD with k(x, y) = (x·y / features + 1)³; may be negative; expectation 0 for equal sets.
 
     Published figures average over random subsets of 1,000; the U-statistic over whole sets, used here, has the same
     expectation and less variance. Symmetric. The kernel depends on the origin, so its differences are rounding errors
-    for features far from it. Source: Bińkowski et al. 2018, §4.
+    for features far from it. `real_kernel` is `kernel_mean(real)`, if known. Source: Bińkowski et al. 2018, §4.
     """
     x = checked_features(real, "real", minimum=2)
     y = checked_features(generated, "generated", minimum=2)
     between = sum(_kernel_sum(x[start : start + BLOCK_ROWS], y) for start in range(0, len(x), BLOCK_ROWS))
-    return _kernel_mean(x) + _kernel_mean(y) - 2.0 * between / (len(x) * len(y))
+    within = kernel_mean(x) if real_kernel is None else real_kernel
+    return within + kernel_mean(y) - 2.0 * between / (len(x) * len(y))
 
 
-def _kernel_mean(x: Float64[np.ndarray, "n features"]) -> float:
+def kernel_mean(x: Float64[np.ndarray, "n features"]) -> float:
     """The mean k of two different rows, in blocks so that the full matrix is never held; each pair is computed once."""
     total = -float(((np.einsum("nf,nf->n", x, x) / x.shape[1] + 1.0) ** 3).sum())
     for start in range(0, len(x), BLOCK_ROWS):
@@ -164,11 +169,13 @@ def prdc(
     real: Float[np.ndarray, "n features"],
     generated: Float[np.ndarray, "m features"],
     num_neighbours: int = 5,
+    real_radii: Float64[np.ndarray, "n"] | None = None,
 ) -> dict[str, float]:
     """Precision and recall (Kynkäänniemi et al. 2019), density and coverage (Naeem et al. 2020), not symmetric.
 
-    A point's ball reaches to its k-th neighbour in its own set, excluding itself; the boundary is outside. Raises
-    `ValueError` for NaN, sets of no more than k samples, or a real set with identical rows.
+    A point's ball reaches to its k-th neighbour in its own set, excluding itself; the boundary is outside.
+    `real_radii` are `squared_radii(real, num_neighbours)`, if known. Raises `ValueError` for NaN, sets of no more than
+    k samples, or a real set with identical rows.
     """
     x, y = (
         checked_features(each, name, num_neighbours + 1) for each, name in ((real, "real"), (generated, "generated"))
@@ -177,7 +184,8 @@ def prdc(
         raise ValueError("real: all rows are the same, so no sample has a neighbourhood to fall into")
     centre = x.mean(axis=0)
     x, y = x - centre, y - centre
-    real_radii, generated_radii = (_squared_radii(each, num_neighbours) for each in (x, y))
+    real_radii = squared_radii(x, num_neighbours) if real_radii is None else real_radii
+    generated_radii = squared_radii(y, num_neighbours)
     # Distances that differ by rounding alone are equal: a point on a ball's boundary is outside.
     lengths = [np.square(each).sum(axis=1).max() for each in (x, y)]
     rounding = 4.0 * (y.shape[1] + 4) * np.finfo(np.float64).eps * sum(lengths)
@@ -208,8 +216,9 @@ def _squared_distances(
     return distances
 
 
-def _squared_radii(features: Float64[np.ndarray, "n features"], num_neighbours: int) -> Float64[np.ndarray, "n"]:
+def squared_radii(features: Float[np.ndarray, "n features"], num_neighbours: int) -> Float64[np.ndarray, "n"]:
     """Squared distance of every point to its k-th neighbour in the same set; the nearest point is itself."""
+    features = features - features.mean(axis=0, dtype=np.float64)
     blocks = (
         _squared_distances(features[start : start + BLOCK_ROWS], features)
         for start in range(0, len(features), BLOCK_ROWS)
