@@ -17,10 +17,18 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 SIGNALS = (signal.SIGTERM, signal.SIGINT)
 _received: list[int] = []
+# The panels of `motionkit --help`, in README's order; other packages' commands come after them.
+PANELS = {
+    "Without training": "view complete convert plant ingest info",
+    "The whole job": "demo",
+    "On your own captures": "split train generate eval report",
+    "How to": "samples study ablate export push pull",
+    "A store's life": "query validate merge remove compact",
+}
 
 
 def build_app(only: str = "") -> "typer.Typer":
-    """A typer app with every registered command in alphabetical order, or only the one of this name if it exists.
+    """A typer app with every registered command in the order of `PANELS`, or only the one of this name if it exists.
 
     Loading all of them takes a tenth of a second.
     """
@@ -57,13 +65,15 @@ def build_app(only: str = "") -> "typer.Typer":
         commands = {only: plugins.load("COMMANDS", only)}
     except KeyError:
         commands = plugins.load_all("COMMANDS")
-    for name, command in sorted(commands.items()):
+    panel_of = {name: panel for panel, names in PANELS.items() for name in names.split()}
+    for name in sorted(commands, key=[*panel_of, *commands].index):
+        command, panel = commands[name], panel_of.get(name, "Of other packages")
         if isinstance(command, typer.Typer):
-            app.add_typer(command, name=name)
+            app.add_typer(command, name=name, rich_help_panel=panel)
         else:
             # Each paragraph in one line: the terminal breaks it at its own width.
             paragraphs = (" ".join(text.split()) for text in (getdoc(command) or "").split("\n\n"))
-            app.command(name=name, help="\n\n".join(paragraphs))(command)
+            app.command(name=name, help="\n\n".join(paragraphs), rich_help_panel=panel)(command)
     return app
 
 

@@ -57,6 +57,17 @@ def test_the_examples_run(motionkit: Callable[..., Outcome], tmp_path: Path, mon
     assert [path for path in ("out", "tests") if not (tmp_path / path).exists()] == []
 
 
+def test_help_has_the_order_of_readme() -> None:
+    blocks = re.findall(
+        r"^```\n(.*?)^```",
+        (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8"),
+        re.MULTILINE | re.DOTALL,
+    )
+    named = re.findall(r"^(?:motionkit|make) (\w+)", "".join(blocks), re.MULTILINE)
+    listed = [name for name in dict.fromkeys(named) if name in COMMANDS]
+    assert len(listed) > 6 and listed == sorted(listed, key=[*COMMANDS].index)
+
+
 def test_no_help_text_is_read_as_markup() -> None:
     """Rich takes [words] in brackets for its own and drops them."""
     texts = [each.help for command in COMMANDS.values() for each in command.params if getattr(each, "help", "")]
