@@ -11,7 +11,7 @@ from eval.actions.recogniser import MIN_FRAMES, ActionRecogniser
 from eval.actions.scores import Recognition
 from eval.sets.motions import as_known, is_unconditional, refusal
 from eval.sets.sets import Missing, RowId, SampleSet, Variant, sample_set
-from motionkit.core.errors import MotionkitError
+from motionkit.core.errors import MotionkitError, counted
 from motionkit.core.shapes import Float32, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.fields.contact.planted import planted
@@ -75,11 +75,11 @@ def known_actions(samples: SampleSet, actions: Sequence[str]) -> ActionSet:
     unknown = Counter(name or "no action" for name, label in zip(names, labels, strict=True) if label < 0)
     if unknown:
         listed = ", ".join(f"{action} ({count})" for action, count in sorted(unknown.items()))
-        left_out.append(f"{unknown.total()} motions of actions that it does not know: {listed}")
+        left_out.append(f"{counted(unknown.total(), 'motion')} of actions that it does not know: {listed}")
     if single := sorted(set(labels[usable].tolist()) - set(labels[kept].tolist())):
         left_out.append(f"actions with a single motion: {', '.join(actions[label] for label in single)}")
     if short := int((labels >= 0).sum()) - len(usable):
-        left_out.append(f"{short} motions of fewer than {MIN_FRAMES} frames")
+        left_out.append(f"{counted(short, 'motion')} of fewer than {counted(MIN_FRAMES, 'frame')}")
     if not len(kept):
         raise NoActionsError(
             f"{samples.name}: no motion has an action that the recogniser knows ({', '.join(actions)}); "

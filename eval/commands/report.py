@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from motionkit.cli.console import AsJson, RunsFolder, print_json, print_text, progress, stderr
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import default_path, write_whole
 from motionkit.core.progress import task
 
@@ -70,7 +70,7 @@ def report(
         page = out or folder / "report.html"
         write_whole(page, to_html(found, cards=cards, figures=figures))
         print(page)
-        stderr.print(f"{len(found)} results")
+        stderr.print(f"{counted(len(found), 'result')}")
     elif format == "png":
         from eval.report.curves import figure_of, save
 
@@ -80,7 +80,9 @@ def report(
     else:
         raise UsageError(f"there is no format {format!r}: html, png, {', '.join(printers)}")
     if faults:
-        raise ResultError(f"{len(faults)} of {len(faults) + len(found)} results in {str(folder)!r} cannot be read")
+        raise ResultError(
+            f"cannot be read: {len(faults)} of {counted(len(faults) + len(found), 'result')} in {str(folder)!r}"
+        )
 
 
 def _motions(run: Path, store: Path, show: "OnProgress") -> Iterator[tuple[str, str]]:

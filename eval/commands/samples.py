@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from motionkit.cli.console import AsJson, Up, print_json, progress, stderr, stdout
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import write_whole
 from motionkit.core.progress import task
 
@@ -43,7 +43,7 @@ def samples(
     for name, text in () if as_json else _lines(found):
         stdout.print(f"{name:12}{text}")
     if read.left_out:
-        raise SampleFolderError(f"{len(read.left_out):,} motions of {str(folder)!r} are left out of every table")
+        raise SampleFolderError(f"left out of every table: {counted(len(read.left_out), 'motion')} of {str(folder)!r}")
 
 
 def _write_manifest(folder: Path, stated: Mapping[str, str | None]) -> None:
@@ -93,7 +93,7 @@ def _lines(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
     low, middle, high = found["frames"]
     minutes = f"{found['duration_seconds'] / 60:.1f} min"
-    yield "motions", f"{found['num_motions']:,}, {minutes}, {low} to {high} frames (median {middle})"
+    yield "motions", f"{found['num_motions']:,}, {minutes}, {low} to {counted(high, 'frame')} (median {middle})"
     yield "framerate", ", ".join(f"{fps} fps ({count:,})" for fps, count in found["framerates"].items())
     yield "captions", share(found["num_captioned"], found["num_different_captions"])
     yield "actions", share(found["num_with_action"], len(found["actions"]))

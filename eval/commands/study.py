@@ -7,7 +7,7 @@ import typer
 
 from eval.commands.eval import framerates, named_samples
 from motionkit.cli.console import AsJson, RunsFolder, print_json, print_table, progress, stderr, stdout
-from motionkit.core.errors import MotionkitError
+from motionkit.core.errors import MotionkitError, counted
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
 
@@ -79,7 +79,7 @@ def make(
         places = {"page": str(out), "key": str(key), "bytes": num_bytes}
         print_json({**places, "questions": len(trials), "missing": list(missing.lines)})
     else:
-        stderr.print(f"{len(trials)} questions, {num_bytes / 1e6:.1f} MB; keep {key} to yourself")
+        stderr.print(f"{counted(len(trials), 'question')}, {num_bytes / 1e6:.1f} MB; keep {key} to yourself")
         stdout.print(f"{out}\nnext: motionkit study score ANSWERS.json --key {key}")
 
 

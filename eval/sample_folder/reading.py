@@ -15,7 +15,7 @@ import numpy as np
 
 from eval.sample_folder.arrays import StoredMotion, read_stored
 from eval.sample_folder.folder import SampleFolder, SampleFolderError, SampleMotion, left_out_line
-from motionkit.core.errors import FormatError, describe, shown
+from motionkit.core.errors import FormatError, counted, describe, shown
 from motionkit.core.files import parse_toml, whole_number
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float32
@@ -226,8 +226,8 @@ def padding_remark(motions: Sequence[SampleMotion]) -> tuple[str, ...]:
     if not frozen:
         return ()
     return (
-        f"{len(frozen):,} motions end in a frozen pose ({np.median(frozen):.1f} s in the median): if that is "
-        "padding, state their num_frames in a CSV beside them",
+        f"{counted(len(frozen), 'motion')} with a frozen pose at the end ({np.median(frozen):.1f} s in the median): if "
+        "that is padding, state their num_frames in a CSV beside them",
     )
 
 
@@ -349,7 +349,7 @@ def read_sample_folder(
     motions = [motion for index, motion in enumerate(motions) if index not in faults]
     if not motions:
         raise SampleFolderError(f"--samples {name}: no motion is a body: {left_out_line(left_out, 0)}")
-    padded = f"of {reader.num_trimmed:,} motions the last frames, all zeros, were dropped"
+    padded = f"of {counted(reader.num_trimmed, 'motion')} the last frames, all zeros, were dropped"
     remarks = [*listing.remarks, *([padded] if reader.num_trimmed else []), *([remark] if remark else [])]
     return SampleFolder.of(name, motions, left_out, (*remarks, *padding_remark(motions)))
 
@@ -414,9 +414,9 @@ def list_samples(name: str, source: Path) -> Listing:
             f"--samples {name}: no motion was found in {str(source)!r}: expected .npy, .npz, .bvh or another format (a "
             ".pkl or .pt can execute code: export its arrays, docs/samples.md)"
             + (f"; {MANIFEST} chooses files" if manifest.files or manifest.exclude else "")
-            + "".join(f"; {count:,} files {what} left out" for what, count in dropped.items())
+            + "".join(f"; {counted(count, 'file')} {what} left out" for what, count in dropped.items())
         )
-    remarks = [f"{count:,} files {what} left out (files in {MANIFEST} chooses)" for what, count in dropped.items()]
+    remarks = [f"{counted(each, 'file')} {what} left out (files in {MANIFEST})" for what, each in dropped.items()]
     remarks += [f"{warning.path.name}: {warning.message}" for warning in scanned.warnings]
     paths = [*arrays, *(item.path for item in items)]
     folders = sorted({folder for path in paths for folder in path.parents if folder.is_relative_to(root)})
@@ -429,7 +429,7 @@ def list_samples(name: str, source: Path) -> Listing:
     }
     absent = [path for path in rows if not os.path.exists(path)]  # noqa: PTH110 (a name may be too long)
     if absent:
-        remarks.append(f"{len(absent):,} rows of the CSV describe files that are not there, first {absent[0].name!r}")
+        remarks.append(f"{counted(len(absent), 'row')} of the CSV without a file, first {absent[0].name!r}")
     return Listing(root, manifest, arrays, items, rows, problems, remarks)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from eval.sample_folder import SampleFolder
 from eval.sets.motions import RealMotion, is_unconditional, upsampled_positions
 from eval.sets.sets import Missing, middle
-from motionkit.core.errors import MotionkitError, UsageError, shown
+from motionkit.core.errors import MotionkitError, UsageError, counted, shown
 from motionkit.core.files import read_json, write_json, write_whole
 from motionkit.core.progress import OnProgress, task
 from motionkit.core.shapes import Float32
@@ -132,7 +132,7 @@ def draw_trials(
         for fps in rates:
             there = [(one, two) for one, two in pairs if first.has(one, fps) and second.has(two, fps)]
             if len(there) < (needed := cases * len(questions)):
-                missing.add(f"{label}: {len(there)} pairs of motions at {fps} fps for {needed} cases")
+                missing.add(f"{label}: {counted(len(there), 'pair')} of motions at {fps} fps, for {needed} cases")
             for question in questions if there else ():
                 for swapped in rng.permutation(np.arange(cases) % 2).tolist():
                     one, two = there[(len(trials) - num_before) % len(there)]

@@ -18,7 +18,7 @@ from eval.sets import motions
 from eval.sets.motions import NoRealMotionError, RealMotion, Window
 from eval.sets.sets import REAL, TRAINING_TAKES, Missing, RowId, SampleSet, Variant, check_sample_names
 from eval.tables.table import EvalConfig, name_and_fps
-from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
+from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError, counted
 from motionkit.core.progress import task, tracked
 from motionkit.data.reconstruction import ReconstructsWindows
 from motionkit.edit.encoders import installed_encoders
@@ -267,7 +267,7 @@ def samples_at(real: RealMotion, fps: Fraction, config: EvalConfig) -> dict[RowI
             every = folder.at(fps)
         takes = takes_of_samples(folder, real)
         if any(takes) and "" in takes:
-            config.missing.add(f"{folder.name}: {takes.count(''):,} motions are for none of the compared takes")
+            config.missing.add(f"{folder.name}: {counted(takes.count(''), 'motion')} for none of the compared takes")
         found = samples_of_takes(every, takes, real.at(fps))
         if found is None:
             config.missing.add(f"{folder.name}, {label(fps)}: {NOT_SO_FAST}")

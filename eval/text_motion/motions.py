@@ -15,6 +15,7 @@ from eval.sets.sets import RowId, SampleSet, Variant, middle, sample_set
 from eval.text_motion.guo import GuoEvaluator
 from eval.text_motion.protocol import NUM_GENERATIONS, LengthRule, MultiModalityRule
 from eval.text_motion.scores import TextMotionPairs
+from motionkit.core.errors import counted
 from motionkit.core.motion import Caption
 from motionkit.core.shapes import Float32, Float64, Int64
 from motionkit.core.skeleton import KIT21, SMPL22
@@ -107,8 +108,8 @@ def captioned_motions(
     if len(sequences) < 2:
         reasons = "; ".join(f"{count} {reason}" for reason, count in left_out.items())
         raise NoRealMotionError(
-            f"{everything.name}: {len(sequences)} captioned sequences at {float(fps):g} fps, at least two are needed "
-            f"({reasons})"
+            f"{everything.name}: {counted(len(sequences), 'captioned sequence')} at {float(fps):g} fps, at least two "
+            f"are needed ({reasons})"
         )
     samples = sample_set(everything.name, fps, sequences, names, [caption.text for caption in captions])
     known = {caption.text: caption for some in captions_of.values() for caption in some}

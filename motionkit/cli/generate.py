@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from motionkit.cli.console import AsJson, RunsFolder, parse_rate, print_json, progress, stderr, stdout
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import default_path, is_store
 from motionkit.core.progress import task
 
@@ -125,7 +125,7 @@ def generate(
     num_motions = len(request.motions)
     if job.num_joined:
         stderr.print(
-            f"motionkit: {job.num_joined:,} of {num_motions:,} motions are joined from several of up to "
+            f"motionkit: {job.num_joined:,} of {counted(num_motions, 'motion')}: joined from several of up to "
             f"{loaded.max_duration_seconds:g} s, the longest that the model makes at once"
         )
     motions = []
@@ -141,4 +141,4 @@ def generate(
         about = {"model": loaded.name, "run": run, "seed": seed, "folder": str(out), "already_there": num_complete}
         print_json({**about, "motions": motions})
     elif num_complete:
-        stderr.print(f"motionkit: {num_complete:,} of {num_motions:,} motions were there already")
+        stderr.print(f"motionkit: {num_complete:,} of {counted(num_motions, 'motion')}: there already")

@@ -154,7 +154,7 @@ def _summary_lines(summary: "StoreSummary") -> Iterator[str]:
     yield f"on disk {disk:,.1f} MB in {counted(summary.num_parts, 'part')}; caches {caches:,.1f} MB"
     if summary.num_removed:
         yield (
-            f"of it the frames of {summary.num_removed:,} removed sequences: 'motionkit compact --store "
+            f"of it the frames of {counted(summary.num_removed, 'removed sequence')}: 'motionkit compact --store "
             f"{summary.path}' drops them"
         )
     yield f"fingerprint {summary.fingerprint}"

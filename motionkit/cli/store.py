@@ -116,7 +116,7 @@ def split(
     stdout.print(f"{doing} the split of {counted(report.num_changed, 'sequence')} of {report.store}, by {report.by}")
     if unseen_wordings:
         doing = "would remove" if dry_run else "removed"
-        stdout.print(f"{doing} {report.num_captions_removed:,} captions of train whose words val or test has")
+        stdout.print(f"{doing} {counted(report.num_captions_removed, 'caption')} of train whose words val or test has")
     if not dry_run:
         stdout.print(f"next: motionkit train{of_default('--store', store)}")
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import motionkit
+from motionkit.core.errors import counted
 from motionkit.core.shapes import Float, Float32, Int
 from motionkit.core.skeleton import STANDARD_SKELETONS, Skeleton
 from motionkit.core.timegrid import SAME_SECONDS, Framerate, TimeGrid, parse_fps
@@ -210,7 +211,8 @@ class Motion:
         rotations = "rotations" if self.local_rotations is not None else "positions only"
         return (
             f"Motion({self.sequence_id!r}, {self.num_frames} frames at {self.fps} fps = {self.duration_seconds:.2f} s, "
-            f"{self.skeleton.name} ({self.skeleton.num_joints} joints), {rotations}, {len(self.captions)} captions)"
+            f"{self.skeleton.name} ({self.skeleton.num_joints} joints), {rotations}, "
+            f"{counted(len(self.captions), 'caption')})"
         )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import UsageError, counted
 from motionkit.core.shapes import Float32, Int, Int64
 from motionkit.core.timegrid import SAME_SECONDS, TimeGrid
 from motionkit.data.captions import overlapping_captions
@@ -64,7 +64,8 @@ def clip_frames(
     step = np.maximum(1, np.round(stride * fps).astype(np.int64))
     counts = np.where(frames < full, frames >= fewest, (frames - full) // step + 1)
     too_short = int((counts == 0).sum())
-    text = f"{counts.sum()} windows of {seconds:g} s, {len(counts) - too_short} sequences; {too_short} too short"
+    windows, sequences = counted(int(counts.sum()), "window"), counted(len(counts) - too_short, "sequence")
+    text = f"{windows} of {seconds:g} s, {sequences}; {too_short} too short"
     text += f", {num_unmapped} of other skeletons" if num_unmapped else ""
     if not counts.any():
         raise UsageError(f"no sequence of {store.path} lasts {shortest:g} s ({text}): ask for shorter windows")

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from motionkit.core.errors import MotionkitError, UsageError, markdown_text
+from motionkit.core.errors import MotionkitError, UsageError, counted, markdown_text
 from motionkit.core.files import naming, require_empty, whole_folder, write_json
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.shapes import Int64
@@ -347,6 +347,7 @@ def export(
             on_outcome(outcome)
         if not num_sequences:
             first = left_out[0].message if left_out else "the selection is empty"
-            raise MotionkitError(f"none of {len(left_out)} sequences can be written as {kind.name}, first: {first}")
+            number = counted(len(left_out), "sequence")
+            raise MotionkitError(f"none of {number} can be written as {kind.name}, first: {first}")
         sizes = [path.stat().st_size for path in partial_folder.rglob("*") if path.is_file()]
     return ExportReport(folder, kind.name, num_sequences, len(sizes), sum(sizes), tuple(left_out))

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from motionkit.core.errors import counted
 from motionkit.core.files import whole_file
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
@@ -69,7 +70,7 @@ class Change:
             described = f"feet slide no more than captures do ({100 * self.sliding_before:.1f} cm/s): left alone"
         else:
             described = (
-                f"{self.num_contacts:,} contacts slid at {100 * self.sliding_before:.1f} cm/s, now "
+                f"{counted(self.num_contacts, 'contact')} slid at {100 * self.sliding_before:.1f} cm/s, now "
                 f"{100 * self.sliding_after:.1f}"
             )
         if self.largest_height_shift >= SMALL_METRES:
@@ -94,7 +95,7 @@ def planted_motion(loaded: LoadedMotion, path: BodyPath) -> tuple[EditedMotion, 
     if moved.any():
         poses.put(moved, planting(seconds[moved]))
     line = (
-        f"plant {change.num_contacts} contacts, the body's path {path}: joints moved by up to "
+        f"plant {counted(change.num_contacts, 'contact')}, the body's path {path}: joints moved by up to "
         f"{1000 * change.largest_change:.1f} mm"
     )
     planted = poses.at(motion.timegrid, motion.skeleton).annotated_like(motion).logged(line)

@@ -19,7 +19,7 @@ from importlib import resources
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from motionkit.core.errors import FormatError, UsageError, shown
+from motionkit.core.errors import FormatError, UsageError, counted, shown
 from motionkit.core.files import LONGEST_TOML, is_store, parse_toml, read_at_most
 from motionkit.core.motion import Motion, captions_within, mirror
 from motionkit.core.skeletons.mapping import with_layout_map
@@ -261,8 +261,8 @@ def _no_motion(source: Path, others: Sequence[Path], options: ReadOptions) -> Fo
     if source.is_file():
         message = f"of no known format, expected {expected}"
         return FormatError(message, path=source, reason="unknown-format")
-    there = f"{len(others):,} files, the first: {others[0].relative_to(source.resolve())}" if others else "no files"
-    message = f"no motions in this folder (it has {there}), expected {expected}"
+    first = f", the first: {others[0].relative_to(source.resolve())}" if others else ""
+    message = f"no motions in this folder (it has {counted(len(others), 'file')}{first}), expected {expected}"
     return FormatError(message, path=source, reason="empty-folder")
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from motionkit.core.errors import StoreError, UsageError, describe
+from motionkit.core.errors import StoreError, UsageError, counted, describe
 from motionkit.core.shapes import Float, Int
 from motionkit.store.cache import remove_stale_caches
 from motionkit.store.commit import changing, committed, publish, read_manifest, write_pending
@@ -158,7 +158,9 @@ def merge(
         if conflicts:
             names = ", ".join(map(repr, conflicts[:SHOWN_CONFLICTS]))
             more = f" and {len(conflicts) - SHOWN_CONFLICTS} more" if len(conflicts) > SHOWN_CONFLICTS else ""
-            raise StoreError(f"{len(conflicts)} ids stand for two files: {names}{more}: leave them out by --where")
+            raise StoreError(
+                f"{counted(len(conflicts), 'id')} of two files each: {names}{more}: leave them out by --where"
+            )
         on_start(len(sha256_of))
         for store, indices in zip(stores, new, strict=True):
             for motion in store.read_encoded(indices):

@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from motionkit.core import files
-from motionkit.core.errors import StoreError, UsageError
+from motionkit.core.errors import StoreError, UsageError, counted
 from motionkit.core.motion import Motion
 from motionkit.core.progress import OnProgress, ignore
 from motionkit.core.shapes import Float32, Int, Int64
@@ -463,7 +463,7 @@ class Store:
         return f"motionkit info --store {self.path} says what it holds"
 
     def __repr__(self) -> str:
-        return f"Store({str(self.path)!r}, {self.num_sequences} sequences, {self.num_frames} frames)"
+        return f"Store({str(self.path)!r}, {counted(self.num_sequences, 'sequence')}, {self.num_frames:,} frames)"
 
     def _repr_html_(self) -> str:
         """Summary by source, framerate and split, for notebooks."""

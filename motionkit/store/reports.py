@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from motionkit.core.errors import markdown_text
+from motionkit.core.errors import counted, markdown_text
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
@@ -41,7 +41,7 @@ configs:
 - {{config_name: skeletons, data_files: skeletons.parquet}}
 """
 STORE_TEXT = """\
-{0.num_sequences:,} sequences, {0.hours:.2f} h: a store of motionkit, whose tables are Parquet; \
+{3}, {0.hours:.2f} h: a store of motionkit, whose tables are Parquet; \
 `motionkit.Store.open({1!r})` reads it. `datasets`, pandas, polars and duckdb read the files as they are: \
 `sequences.parquet` has a row for each sequence, `motions/` its frames, joined by `sequence_index`. Every sequence \
 keeps the licence of its source (column `licence`), which says what it may be used for.
@@ -131,7 +131,7 @@ def store_card(summary: StoreSummary, address: str) -> str:
         rows.append(f"| {' | '.join(map(markdown_text, cells))} |")
     return CARD.format(
         head=STORE_HEAD.format(json.dumps("; ".join(summary.licences))),
-        text=STORE_TEXT.format(summary, address, "\n".join(rows)),
+        text=STORE_TEXT.format(summary, address, "\n".join(rows), counted(summary.num_sequences, "sequence")),
         code=READ_STORE.format(address),
     )
 

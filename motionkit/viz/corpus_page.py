@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.errors import MotionkitError, UsageError, counted
 from motionkit.core.files import write_whole
 from motionkit.core.motion import Motion
 from motionkit.core.progress import OnProgress, ignore, tracked
@@ -49,7 +49,7 @@ def write_corpus_page(
             except MotionkitError as error:
                 failures.append((row["sequence_id"], str(error)))
 
-    title = f"{store.path.absolute().name}: {len(indices):,} sequences"
+    title = f"{store.path.absolute().name}: {counted(len(indices), 'sequence')}"
     data = {"store": str(store.path), "cards": list(cards())}
     page = filled("corpus.html", title, data_text(data), SCRIPTS, ("style.css", "corpus.css"))
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -37,7 +37,7 @@ from eval.text_motion.scores import (
     score_text_motion,
     share_of_same_texts,
 )
-from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.errors import MotionkitError, UsageError, counted
 from motionkit.core.progress import task
 from motionkit.generate.models import GenerationRequest, installed_models
 from motionkit.store.reader import Store
@@ -72,7 +72,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
     return Content(
         caption=(
             f"Whole motions and their captions, protocol {protocol.name!r} ({protocol.title}): mean over "
-            f"{protocol.replications} replications ± half the 95 % interval over takes, {config.real}."
+            f"{counted(protocol.replications, 'replication')} ± half the 95 % interval over takes, {config.real}."
         ),
         blocks=(
             *(block for each in comparisons for block in each.blocks(models)),
@@ -181,7 +181,7 @@ class _Comparison:
         number = real.samples.num_sequences
         if min(number, config.max_motions) < protocol.pool:
             raise NoRealMotionError(
-                f"{real.samples.name}: {number} captioned motions, --motions {config.max_motions}, "
+                f"{real.samples.name}: {counted(number, 'captioned motion')}, --motions {config.max_motions}, "
                 f"but a text chooses among {protocol.pool} (protocol {protocol.name!r}); name a larger split (--split "
                 "all), ingest more, or give more --motions"
             )
@@ -280,9 +280,10 @@ class _Comparison:
                 pair_score=self.evaluator.pair_score,
             )
         sizes = scores.sizes
-        notes.append(f"N = {sizes['generated']:,} against {sizes['real']:,} real motions")
+        notes.append(f"N = {sizes['generated']:,} against {counted(sizes['real'], 'real motion')}")
         if "multimodality texts" in sizes:
-            notes.append(f"{sizes['multimodality generations']} motions of {sizes['multimodality texts']} texts")
+            texts = counted(sizes["multimodality texts"], "text")
+            notes.append(f"{counted(sizes['multimodality generations'], 'motion')} of {texts}")
         notes += [line for line in scores.remarks if line not in self.protocol.remarks]
         return ScoredRow(row, "; ".join(filter(None, notes)), scores, ranked)
 

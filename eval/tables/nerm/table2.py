@@ -156,7 +156,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
     protocol = config.clips
     return Content(
         caption=(
-            f"clip-FID ({VERSION}), lower is better: mean over {protocol.replications} replications of N = "
+            f"clip-FID ({VERSION}), lower is better: mean over {counted(protocol.replications, 'replication')} of N = "
             f"{protocol.num_clips:,} random clips on each side, {config.real}, ± half the 95 % interval over takes "
             f"({protocol.resamplings} resamplings of the takes of both sides)."
         ),

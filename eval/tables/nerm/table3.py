@@ -16,7 +16,7 @@ from eval.sets.motions import VARIANT_NOTES, RealMotion, has_training, real_moti
 from eval.sets.sets import REAL, RowId, check_sample_names, size_remarks
 from eval.tables.systems import trained_models
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import UsageError, counted
 from motionkit.core.progress import task, tracked
 from motionkit.generate.models import installed_models
 from motionkit.store.reader import Store
@@ -66,7 +66,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
         config.missing.add(*(f"real ({config.split}): {line}" for line in compared.left_out))
         number, counts = compared.samples.num_sequences, np.bincount(compared.labels)
         row = RowId(f"{REAL} ({config.split})")
-        real = System(row, (compared.recognised(recogniser),), f"{number:,} motions")
+        real = System(row, (compared.recognised(recogniser),), f"{counted(number, 'motion')}")
         references = {"test": real.draws[0].features}
         if config.split not in ("train", "all") and has_training(store):
             with config.missing.skipping("FID (train)", (NoActionsError,)):
@@ -76,9 +76,9 @@ def compute(config: EvalConfig, store: Store) -> Content:
         systems = [real, *_generated(compared, recogniser, config), *_samples(source, recogniser, config)]
     return Content(
         caption=(
-            f"What a recogniser of actions ({source.title}) says of {number:,} real motions of "
-            f"{np.count_nonzero(counts)} actions, {config.real}, and of motions generated for the same actions at "
-            f"{source.fps} fps: mean over the protocol's replications ± half the 95 % interval over motions."
+            f"What a recogniser of actions ({source.title}) says of {counted(number, 'real motion')} of "
+            f"{counted(int(np.count_nonzero(counts)), 'action')}, {config.real}, and of motions generated for the same "
+            f"actions at {source.fps} fps: mean over the protocol's replications ± half the 95 % interval over motions."
         ),
         blocks=(
             *(block for protocol in protocols for block in _blocks(protocol, source, references, systems, config)),
@@ -142,7 +142,8 @@ def _generated(compared: ActionSet, recogniser: ActionRecogniser, config: EvalCo
                 for draw in tracked(config.on_progress, name, range(config.draws), config.draws)
             ]
             for row in draws[0]:
-                notes = (f"{real.samples.num_sequences:,} motions{times}", trained.note, VARIANT_NOTES.get(row.variant))
+                size = counted(real.samples.num_sequences, "motion")
+                notes = (f"{size}{times}", trained.note, VARIANT_NOTES.get(row.variant))
                 recognised = tuple(draw[row].recognised(recogniser) for draw in draws)
                 systems.append(System(row, recognised, "; ".join(filter(None, notes))))
     return systems
@@ -154,7 +155,7 @@ def _samples(source: RecogniserSource, recogniser: ActionRecogniser, config: Eva
         with config.missing.skipping(folder.name):
             folder.require("action")
             known = known_actions(folder.at(source.fps), recogniser.actions)
-            note = f"{known.samples.num_sequences:,} motions; {folder.describe()}"
+            note = f"{counted(known.samples.num_sequences, 'motion')}; {folder.describe()}"
             systems.append(System(RowId(folder.name), (known.recognised(recogniser),), note))
             config.missing.add(*(f"{folder.name}: {line}" for line in known.left_out))
     return systems

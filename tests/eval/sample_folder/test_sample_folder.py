@@ -65,7 +65,7 @@ def test_mld(tmp_path: Path) -> None:
     published.same_order(padded.sequences, IN_FILE_ORDER)
     assert padded.groups == ("000000", "000000", "000001", "000001", "000002", "000002")
     (folder / "lengths.csv").unlink()
-    assert "6 motions end in a frozen pose" in read(folder).describe()
+    assert "6 motions with a frozen pose at the end" in read(folder).describe()
 
 
 def test_t2m_gpt(tmp_path: Path) -> None:
@@ -216,7 +216,7 @@ def test_a_csv_row_without_its_file_is_reported(tmp_path: Path) -> None:
     )
     samples = read(folder)
     assert (samples.captions, samples.sequences.values.shape[0]) == (("walks",), 9)
-    assert "1 rows of the CSV describe files that are not there, first 'bb" in samples.describe()
+    assert "1 row of the CSV without a file, first 'bb" in samples.describe()
     assert [problem.reason for problem in samples.left_out] == ["path", "annotations"]
 
 
