@@ -90,33 +90,6 @@ class PositionCache:
         start = self.start_row[sequence]
         return self.positions[start : start + self.num_frames[sequence]]
 
-    def gather_clips(
-        self,
-        sequence: Int[np.ndarray, "batch"],
-        start_frame: Int[np.ndarray, "batch"],
-        num_frames: int,
-    ) -> Float32[np.ndarray, "batch frames joints 3"]:
-        """Native frames [start_frame, start_frame + num_frames) of the n-th sequences of this cache, metres.
-
-        Raises `IndexError` where a clip leaves its sequence.
-        """
-        if num_frames < 1:
-            raise IndexError(f"a clip needs at least one frame, not {num_frames}")
-        outside = (start_frame < 0) | (start_frame.astype(np.int64) + num_frames > self.num_frames[sequence])
-        if outside.any():
-            which = int(np.argmax(outside))
-            raise IndexError(
-                f"frames [{start_frame[which]}, {start_frame[which] + num_frames}) do not lie inside the "
-                f"{self.num_frames[sequence[which]]} frames of the cache's sequence {sequence[which]}"
-            )
-        first_rows = self.start_row[sequence] + start_frame
-        # Every run of num_frames rows as one overlapping view: the gather then copies each clip in one piece.
-        windows = np.lib.stride_tricks.sliding_window_view(
-            self.positions.reshape(-1), num_frames * self.positions[0].size
-        )
-        clips: Float32[np.ndarray, "batch values"] = windows[first_rows * self.positions[0].size]
-        return clips.reshape(len(first_rows), num_frames, *self.positions.shape[1:])
-
     def derived_rows(
         self,
         name: str,

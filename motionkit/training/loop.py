@@ -88,114 +88,81 @@ def train_loop(
 
     Returns the last logged metrics, and `cpu_seconds`, including earlier sessions.
 
-    Metrics are means over the steps since the last line of metrics.jsonl. Ctrl-C or SIGTERM ends the current step,
+    Metrics are means over the steps since the last line of metrics.jsonl, or since the training was resumed. A
+    checkpoint is saved with a line, `checkpoint_seconds` after the last one. Ctrl-C or SIGTERM ends the current step,
     saves a checkpoint and raises `KeyboardInterrupt`. Raises `RunError` for a non-finite loss (the last checkpoint is
     kept), `CheckpointError` for a checkpoint of another training, and `DamagedFileError` if it or the log is damaged.
     Only the first rank writes, and only it has the metrics.
     """
     purpose, steps, spent = folder.path.name, trainable.steps, time.process_time()
-    first, figures, before = _restore(trainable, folder, ranks)
+    first, before = _restore(trainable, folder, ranks)
     latest = (folder.read_metrics() or [{}])[-1]
     saved = time.perf_counter()
     started = saved - latest.get("seconds", 0.0)
+    sums: dict[str, torch.Tensor] = {}
+    logged = first
     report = on_progress if ranks.is_first else ignore
     with task(report, purpose, steps, done=first) as work, _interrupts() as interrupted:
         for step in range(first, steps):
-            figures.add(trainable.step(step, step_generator(seed, purpose, step)))
+            for name, value in trainable.step(step, step_generator(seed, purpose, step)).items():
+                # Sums stay on the device, to avoid synchronisation.
+                sums[name] = sums[name] + value.detach().double() if name in sums else value.detach().double()
             done = step + 1
             stop, due = ranks.agree(interrupted.is_set(), time.perf_counter() - saved > checkpoint_seconds)
-            log, save = done % log_every == 0 or done == steps, done == steps or stop or due
-            if log or save:
-                figures.collect(ranks, folder, done)
-            if log:
-                latest = {"step": float(done), "seconds": round(time.perf_counter() - started, 3)} | figures.means(done)
-                figures = _Figures({}, since=done)
+            if done % log_every == 0 or done == steps or stop:
+                means = _means(sums, done - logged, ranks, f"{folder.path}, steps {logged + 1} to {done}")
+                sums, logged = {}, done
+                latest = {"step": float(done), "seconds": round(time.perf_counter() - started, 3)} | means
                 work.note(" ".join(f"{name} {latest[name]:.4g}" for name in list(latest)[2:5]))
-            if log and ranks.is_first:
-                folder.append_metrics(latest)
-            if save:
-                _save(trainable, folder, ranks, done, figures, before + time.process_time() - spent)
-                saved = time.perf_counter()
+                if ranks.is_first:
+                    folder.append_metrics(latest)
+                if due or stop or done == steps:
+                    _save(trainable, folder, ranks, done, before + time.process_time() - spent)
+                    saved = time.perf_counter()
             if stop:
                 raise KeyboardInterrupt
             work.advance()
     return latest | {"cpu_seconds": round(before + time.process_time() - spent, 1)}
 
 
-class _Figures:
-    """Sums of the steps' metrics since the last line of metrics.jsonl, which was written after step `since`."""
-
-    def __init__(self, sums: Mapping[str, torch.Tensor], since: int) -> None:
-        self.sums = dict(sums)
-        self.since = since
-
-    def add(self, values: Mapping[str, torch.Tensor]) -> None:
-        """Add a step's metrics; sums stay on the device, to avoid synchronisation.
-
-        Their order is the step's, which all ranks share; a checkpoint's sums are restored by name on the first rank.
-        """
-        added = {name: value.detach().double() for name, value in values.items()}
-        for name in added.keys() & self.sums.keys():
-            added[name] = self.sums[name].to(added[name].device) + added[name]
-        self.sums = {**added, **{name: value for name, value in self.sums.items() if name not in added}}
-
-    def collect(self, ranks: Ranks, folder: StageFolder, done: int) -> None:
-        """Reduce the sums of all ranks to the first one; raises `RunError` on all ranks if one is not finite."""
-        totals = torch.stack(list(self.sums.values())).cpu()
-        ranks.add_up([totals])
-        for name, total in zip(self.sums, totals, strict=True):
-            if not torch.isfinite(total):
-                raise RunError(
-                    f"{folder.path}: {name} is not finite shortly before step {done}; use a lower learning rate "
-                    f"(an earlier checkpoint, if any, is kept)"
-                )
-        self.sums = dict(zip(self.sums, totals if ranks.is_first else torch.zeros_like(totals), strict=True))
-
-    def means(self, done: int) -> dict[str, float]:
-        """Means over the steps up to `done`."""
-        return {name: float(total) / (done - self.since) for name, total in self.sums.items()}
+def _means(sums: Mapping[str, torch.Tensor], count: int, ranks: Ranks, where: str) -> dict[str, float]:
+    """Means of metrics over `count` steps of all ranks; raises `RunError` on all ranks if one is not finite."""
+    totals = torch.stack(list(sums.values())).cpu()
+    ranks.add_up([totals])
+    for name, total in zip(sums, totals, strict=True):
+        if not torch.isfinite(total):
+            raise RunError(f"{where}: {name} is not finite; use a lower learning rate (an earlier checkpoint is kept)")
+    return {name: float(total) / count for name, total in zip(sums, totals, strict=True)}
 
 
-def _save(
-    trainable: Trainable, folder: StageFolder, ranks: Ranks, done: int, figures: _Figures, cpu_seconds: float
-) -> None:
-    tensors = prefixed("state", trainable.state_tensors()) | prefixed("sums", figures.sums)
+def _save(trainable: Trainable, folder: StageFolder, ranks: Ranks, done: int, cpu_seconds: float) -> None:
+    tensors = prefixed("state", trainable.state_tensors())
     if ranks.is_first:
-        if folder.metrics_path.is_file():
-            sync(folder.metrics_path)  # so that no checkpoint is ahead of it
-        description = {
-            "step": done,
-            "stage": folder.path.name,
-            "logged": figures.since,
-            "cpu_seconds": round(cpu_seconds, 1),
-        }
+        sync(folder.metrics_path)  # so that no checkpoint is ahead of it
+        description = {"step": done, "stage": folder.path.name, "cpu_seconds": round(cpu_seconds, 1)}
         save_tensors(folder.checkpoint_path, tensors, description)
 
 
-def _restore(trainable: Trainable, folder: StageFolder, ranks: Ranks) -> tuple[int, _Figures, float]:
-    """Restore the checkpoint, if there is one.
-
-    Returns its step, the metrics since the last logged one, and the CPU seconds spent until then.
-    """
+def _restore(trainable: Trainable, folder: StageFolder, ranks: Ranks) -> tuple[int, float]:
+    """Restore the checkpoint, if there is one; returns its step, and the CPU seconds spent until then."""
     path = folder.checkpoint_path
     if not path.is_file():
         ranks.on_first(lambda: folder.keep_metrics(0))
-        return 0, _Figures({}, since=0), 0.0
-    hint = "train the stage again with --overwrite"
+        return 0, 0.0
     tensors, description = load_tensors(path)
-    if description.get("stage") != folder.path.name:
-        raise CheckpointError(f"{path} is of stage {description.get('stage')!r}, not {folder.path.name!r}: {hint}")
     try:
-        step, logged = int(description["step"]), int(description["logged"])
+        if description["stage"] != folder.path.name:
+            raise ValueError(f"it is of stage {description['stage']!r}")
+        step = int(description["step"])
+        if not 0 <= step <= trainable.steps:
+            raise ValueError(f"it is of step {step:,} of {trainable.steps:,}")
         trainable.load_state_tensors(unprefixed("state", tensors))
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
-        fault = f"{path} does not fit these settings or this version ({one_line(error)})"
-        raise CheckpointError(f"{fault}: {hint}") from None
-    if not 0 <= logged <= step <= trainable.steps:
-        raise CheckpointError(f"{path} is of a step that a training of {trainable.steps:,} steps does not have: {hint}")
+        raise CheckpointError(
+            f"{path} does not fit these settings or this version ({one_line(error)}): {HINT}"
+        ) from None
     ranks.on_first(lambda: folder.keep_metrics(step))
-    figures = _Figures(unprefixed("sums", tensors) if ranks.is_first else {}, since=logged)
-    return step, figures, float(description.get("cpu_seconds", 0.0))
+    return step, float(description.get("cpu_seconds", 0.0))
 
 
 @contextmanager

@@ -107,5 +107,7 @@ def test_what_two_ranks_began_one_finishes(folder: Path) -> None:
     assert load_tensors(stage.checkpoint_path)[1]["step"] == 4
     assert not stage.is_complete
     train_stage("field", folder / "store", folder / "interrupted", resume=True)
-    for expected, found in zip(losses(folder / "one", "field"), losses(folder / "interrupted", "field"), strict=True):
-        assert found == pytest.approx(expected, rel=1e-3, abs=1e-9)
+    (expected,), (before, after) = losses(folder / "one", "field"), losses(folder / "interrupted", "field")
+    share = before["step"] / after["step"]
+    found = {name: share * before[name] + (1 - share) * after[name] for name in expected} | {"step": after["step"]}
+    assert found == pytest.approx(expected, rel=1e-3, abs=1e-9)

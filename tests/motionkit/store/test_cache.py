@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 import motionkit as mk
 from motionkit.core.errors import DamagedFileError, UsageError
@@ -63,22 +61,6 @@ def test_the_cache_holds_the_frames_of_the_store(small_store):
         np.testing.assert_array_equal(built.sequence_positions(n), map_joints(store.read(n), "smpl22"))
     open_cache(store)
     assert len(reports) == 8, "an existing cache is opened, not built"
-
-
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_clips_are_the_frames_they_claim_to_be(small_store, data):
-    built = open_cache(mk.Store.open(small_store))
-    num_frames = data.draw(st.integers(1, 40))
-    sequence = np.array(data.draw(st.lists(st.integers(0, 5), min_size=0, max_size=8)), np.int64)
-    start = np.array([data.draw(st.integers(0, int(built.num_frames[n]) - num_frames)) for n in sequence], np.int64)
-    clips = built.gather_clips(sequence, start, num_frames)
-    assert clips.shape == (len(sequence), num_frames, 22, 3)
-    for clip, n, first in zip(clips, sequence, start, strict=True):
-        np.testing.assert_array_equal(clip, built.sequence_positions(n)[first : first + num_frames])
-    for beyond in (-1, 41 - num_frames):
-        with pytest.raises(IndexError):
-            built.gather_clips(np.array([0]), np.array([beyond]), num_frames)
 
 
 def test_a_filter_and_sequences_that_do_not_fit(mixed_store):
