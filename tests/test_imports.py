@@ -17,9 +17,7 @@ from tests.helpers.repository import REPOSITORY
 
 OWN = {"motionkit", "nerm", "pahires", "peers", "eval", "benchmarks", "tests"}
 # Imported where the user has them, with a message that names the extra or the package; jaxtyping where it is loaded.
-OPTIONAL = {
-    *("huggingface_hub", "imageio_ffmpeg", "jaxtyping", "ray", "rerun", "tokenizers", "torchmetrics", "transformers")
-}
+OPTIONAL = {*("huggingface_hub", "imageio_ffmpeg", "jaxtyping", "ray", "rerun", "tokenizers", "transformers")}
 
 
 def imported(folder: str) -> set[str]:
