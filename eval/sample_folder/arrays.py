@@ -25,7 +25,7 @@ ACTION_KEYS = ("action_text", "action")
 EXPECTED = (
     "expected frames × joints × 3 or joints × 3 × frames (21, 22, 24 or 52 joints), frames × 263 or 251 pose "
     'vectors, or a batch of these; for vectors of 135 or 276 numbers samples.toml says vectors = "motion-135", '
-    '"dart-276" or "vimogen-276"'
+    '"flowmdm-135", "dart-276" or "vimogen-276"'
 )
 
 

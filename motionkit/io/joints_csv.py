@@ -45,14 +45,14 @@ def read_joints_csv(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     Raises `FormatError` (`annotations` for a broken header, `channel-count`, `not-a-number`, `nan`, `frame-time` …).
     """
     data = source_file.read_bytes(path)
-    names = _header(data, path)
+    names = header(data, path)
     joints = _joints(names, path)
-    table = _table(data, names, path)
-    grid, stated, operations = _clock(table, names, options, path)
+    values = table(data, names, path)
+    grid, stated, operations = _clock(values, names, options, path)
     skeleton = next((each for each in STANDARD_SKELETONS.values() if set(joints) == set(each.joint_names)), None)
     order = joints if skeleton is None else skeleton.joint_names
     columns = [names.index(f"{joint}_{axis}") for joint in order for axis in AXES]
-    positions = table[:, columns].reshape(len(table), len(order), 3).astype(np.float32)
+    positions = values[:, columns].reshape(len(values), len(order), 3).astype(np.float32)
     if skeleton is None:
         parents = (-1, *(0,) * (len(order) - 1))
         skeleton = Skeleton(rig_name(order), order, parents, bones_of_pose(positions[0], parents))
@@ -75,7 +75,8 @@ def write_joints_csv(motion: Motion, path: Path) -> None:
     pc.write_csv(pa.table(arrays), path)
 
 
-def _header(data: bytes, path: Path) -> tuple[str, ...]:
+def header(data: bytes, path: Path) -> tuple[str, ...]:
+    """The columns' names in the first line. Raises `FormatError` (`not-a-number`, `annotations`)."""
     text = source_file.decode(data[:HEADER_BYTES].partition(b"\n")[0], path)
     if ";" in text or "\t" in text:
         message = "columns are separated by ';' or tabs, expected commas, and points in numbers (1.5, not 1,5)"
@@ -98,20 +99,26 @@ def _joints(names: tuple[str, ...], path: Path) -> tuple[str, ...]:
     return joints
 
 
-def _table(data: bytes, names: tuple[str, ...], path: Path) -> Float64[np.ndarray, "frames columns"]:
+def table(
+    data: bytes, names: tuple[str, ...], path: Path, *, has_header: bool = True
+) -> Float64[np.ndarray, "frames columns"]:
+    """All numbers of a CSV file with these columns.
+
+    Raises `FormatError` (`channel-count`, `not-a-number`, `nan`, `range`, `no-frames`) with the line or frame.
+    """
     try:
-        table = pc.read_csv(
+        rows = pc.read_csv(
             pa.BufferReader(data),
-            read_options=pc.ReadOptions(column_names=list(names), skip_rows=1, use_threads=False),
+            read_options=pc.ReadOptions(column_names=list(names), skip_rows=int(has_header), use_threads=False),
             convert_options=pc.ConvertOptions(column_types=dict.fromkeys(names, pa.float64()), null_values=[]),
         )
     except (pa.ArrowException, ValueError) as error:
         message = str(error).splitlines()[0][:160]
         row, reason = ROW.search(message), "channel-count" if " columns, got " in message else "not-a-number"
         raise FormatError(message, path=path, reason=reason, line=int(row[1]) if row else None) from None
-    if not table.num_rows:
+    if not rows.num_rows:
         raise FormatError("0 frames, expected at least one row below the header", path=path, reason="no-frames")
-    values = np.stack([table[name].to_numpy() for name in names], axis=1)
+    values = np.stack([rows[name].to_numpy() for name in names], axis=1)
     for reason, bad in (("nan", ~np.isfinite(values)), ("range", np.abs(values) > MAX_NUMBER)):
         if bad.any():
             frame, column = np.argwhere(bad)[0].tolist()

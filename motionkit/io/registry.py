@@ -225,7 +225,7 @@ class _BuiltIn:
 
 _POSE_FOLDERS = ("new_joints", "new_joint_vecs")
 # ViMoGen's vectors have DART's width, and FlowMDM's of BABEL that of motion-135.
-NAMED_VECTORS = ("motion-135", "dart-276", "vimogen-276")
+NAMED_VECTORS = ("motion-135", "flowmdm-135", "dart-276", "vimogen-276")
 # The first that accepts a file reads it.
 _BUILT_IN = (
     _BuiltIn("lafan1", "bvh_data_sets", "LAFAN1_FORMAT", suffixes=(".bvh",), stem=r".*_subject\d+"),
@@ -252,6 +252,11 @@ _BUILT_IN = (
     *(
         _BuiltIn(name, "vector_layouts", "FORMATS", suffixes=(".npy",), by_name=name in NAMED_VECTORS)
         for name in ("hymotion-201", "ardy-330", "ardy-g1-414", "g1-38", *NAMED_VECTORS)
+    ),
+    _BuiltIn("motius", "vector_layouts", "MOTIUS_FORMAT", suffixes=(".npz",)),
+    *(
+        _BuiltIn(name, "g1_csv", "FORMATS", suffixes=(".csv",), by_name=name != "g1-csv")
+        for name in ("g1-csv", "g1-csv-wxyz", "g1-csv-xyzw")
     ),
     _BuiltIn("csv", "joints_csv", suffixes=(".csv",), writes=True),
     _BuiltIn("robot-csv", "robot_csv", writes=True),

@@ -2,10 +2,12 @@
 
 HY-Motion: root translation, local rotations, joints relative to the pelvis (https://github.com/Tencent-Hunyuan/
 HY-Motion-1.0, hymotion/pipeline/motion_diffusion.py; body_model.py for the pelvis at translation + J₀). motion-135 is
-its first 135 numbers. DART: translation, local rotations, changes of both, joints, their steps
-(https://github.com/zkf1997/DART, utils/smpl_utils.py). ViMoGen's have other slices of the same width, ARDY's are root,
-heading, joints, global rotations, velocities, contacts, and Motius' G1 root steps and height, root rotation, 29 angles
-(https://github.com/ZeyuLing/Motius, docs/motion/representations.md, motius/motion/representation, models/ardy).
+its first 135 numbers; Motius keeps it in .npz files as `motion_135`. DART: translation, local rotations, changes of
+both, joints, their steps (https://github.com/zkf1997/DART, utils/smpl_utils.py). ViMoGen's have other slices of the
+same width, ARDY's are root, heading, joints, global rotations, velocities, contacts, and Motius' G1 root steps and
+height, root rotation, 29 angles (https://github.com/ZeyuLing/Motius, docs/motion/representations.md,
+motius/motion/representation, models/ardy). FlowMDM's of BABEL: root height and steps, local rotations
+(https://github.com/BarqueroGerman/FlowMDM, data_loaders/amass/transforms/rots2rfeats/globvelandy.py).
 """
 
 from dataclasses import dataclass, replace
@@ -21,12 +23,14 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.io import body_frame, joint_rotations, joints_npy, npy, pose_vectors, source_file
+from motionkit.io import body_frame, g1_csv, joint_rotations, joints_npy, npy, pose_vectors, source_file
 from motionkit.io.kimodo import CORE27, g1
 from motionkit.io.registry import Format, ReadOptions, of_path
 from motionkit.io.smpl_body import mean_shape_skeleton
 
 Matrices = Float64[np.ndarray, "frames joints 3 3"]
+MOTIUS_KEY = "motion_135"
+MOST_SQUARES_OFF = 0.5
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,9 @@ class VectorLayout:
     `joints` (None: rotations on SMPL's mean shape give them) are relative to the pelvis ("root"), to its place on the
     floor, without the pelvis ("floor"), or to nothing ("world"). `rotations` (None: not read) are relative
     to the parent, or to the world if `is_global`: the first two "rows" or "columns" of a matrix one after the other, or
-    "pairs", the columns' numbers in turn. `fps` is None if models of several framerates share the layout.
+    "pairs", the columns' numbers in turn. `steps` is the first of two numbers that are the root's steps since the frame
+    before, not its place; the third of these three is its height. `fps` is None if models of
+    several framerates share the layout.
     """
 
     name: str
@@ -49,16 +55,18 @@ class VectorLayout:
     rotations: int | None = None
     form: Literal["rows", "columns", "pairs"] = "pairs"
     is_global: bool = False
+    steps: int | None = None
 
 
 LAYOUTS = (
     VectorLayout("hymotion-201", 201, Fraction(30), joints=135, relative_to="root", rotations=3),
     VectorLayout("motion-135", 135, Fraction(30), rotations=3),
+    VectorLayout("flowmdm-135", 135, Fraction(30), up="z", rotations=3, form="rows", steps=1),
     VectorLayout("dart-276", 276, None, up="z", joints=144, rotations=3, form="rows"),
     VectorLayout("vimogen-276", 276, None, up="z", joints=126),
     VectorLayout("ardy-330", 330, Fraction(20), CORE27, "y", 5, "floor", 83, "columns", is_global=True),
     VectorLayout("ardy-g1-414", 414, None, g1()[0], joints=5, relative_to="floor"),
-    VectorLayout("g1-38", 38, Fraction(30), g1()[0], up="z", rotations=3),
+    VectorLayout("g1-38", 38, Fraction(30), g1()[0], up="z", rotations=3, steps=0),
 )
 
 
@@ -77,20 +85,34 @@ def read_vectors(path: Path, options: ReadOptions, layout: VectorLayout) -> Moti
     Raises `FormatError`: `no-framerate` where the layout has none, `unit` for normalised vectors.
     """
     data = source_file.read_bytes(path)
-    values = npy.read_npy(path, data, None, fill_missing=options.fill_missing)
+    if path.suffix.lower() == ".npz":
+        values = npy.open_archive(path, data).numbers(
+            MOTIUS_KEY, (None, layout.width), fill_missing=options.fill_missing
+        )
+    else:
+        values = npy.read_npy(path, data, None, fill_missing=options.fill_missing)
     values = values.reshape(-1, values.shape[-1])
     usual = layout.fps or options.fps or joints_npy.read_manifest(joints_npy.manifest_of(path)).fps
     if usual is None:
         message = f"{layout.name} vectors have no framerate; give --fps (DART: 30 on BABEL, 20 on HumanML3D)"
         raise FormatError(message, path=path, reason="no-framerate")
-    skeleton, matrices = layout.skeleton, None
-    if layout.name == "g1-38":
-        positions = _g1_positions(values)
+    skeleton, matrices, root = layout.skeleton, None, values[:, :3]
+    if layout.steps is not None:
+        root = np.roll(root, -layout.steps, axis=1)
+        root[:, :2] = np.cumsum(root[:, :2], axis=0)
+    if layout.rotations is not None:
+        count = 1 if layout.name == "g1-38" else skeleton.num_joints
+        sixes = values[:, layout.rotations : layout.rotations + 6 * count]
+        squares = float(np.median(np.square(sixes).reshape(-1, 6).sum(axis=1)))
+        if abs(squares - 2) > MOST_SQUARES_OFF:
+            message = f"the squares of a rotation's six numbers sum to {squares:.3g}, expected 2: multiply normalised "
+            raise FormatError(f"{message}vectors by their std and add the mean", path=path, reason="unit")
+        matrices = matrices_of(sixes, layout.form)
+    if layout.name == "g1-38" and matrices is not None:
+        positions, local = g1_csv.posed(root, kinematics.matrix_to_quaternion(matrices[:, 0]), values[:, 9:])
+        positions, matrices = positions.astype(np.float32), kinematics.quaternion_to_matrix(local)
     else:
-        if layout.rotations is not None:
-            first = layout.rotations
-            matrices = matrices_of(values[:, first : first + 6 * skeleton.num_joints], layout.form)
-        positions = _positions(values, layout, matrices)
+        positions = _positions(values, root, layout, matrices)
     if matrices is not None and layout.is_global:
         local = np.matmul(matrices[:, skeleton.parents_or_self].swapaxes(-1, -2), matrices)
         local[:, 0] = matrices[:, 0]
@@ -105,11 +127,14 @@ def read_vectors(path: Path, options: ReadOptions, layout: VectorLayout) -> Moti
 
 
 def _positions(
-    values: Float32[np.ndarray, "frames numbers"], layout: VectorLayout, matrices: Matrices | None
+    values: Float32[np.ndarray, "frames numbers"],
+    root: Float32[np.ndarray, "frames 3"],
+    layout: VectorLayout,
+    matrices: Matrices | None,
 ) -> Float32[np.ndarray, "frames joints 3"]:
     frames, num_joints = len(values), layout.skeleton.num_joints
     # SMPL's pelvis rests at J₀; ARDY's root is the pelvis itself.
-    root = values[:, None, :3] + mean_shape_skeleton().offsets[0] * (layout.relative_to != "floor")
+    root = root[:, None] + mean_shape_skeleton().offsets[0] * (layout.relative_to != "floor")
     if layout.joints is None:
         assert matrices is not None
         rotations = kinematics.matrix_to_quaternion(matrices)
@@ -124,18 +149,6 @@ def _positions(
     return joints.astype(np.float32)
 
 
-def _g1_positions(values: Float32[np.ndarray, "frames 38"]) -> Float32[np.ndarray, "frames 34 3"]:
-    """Positions by forward kinematics, z up: steps in x and y, height, root rotation (pairs), 29 angles in radians."""
-    skeleton, turns, axes = g1()
-    root = values[:, :3].copy()
-    root[:, :2] = np.cumsum(values[:, :2], axis=0)
-    angles = np.zeros((len(values), skeleton.num_joints, 1), np.float32)
-    angles[:, axes.any(axis=1), 0] = values[:, 9:]
-    rotations = kinematics.quaternion_multiply(turns, kinematics.rotation_vector_to_quaternion(angles * axes))
-    rotations[:, :1] = kinematics.matrix_to_quaternion(matrices_of(values[:, 3:9], "pairs"))
-    return kinematics.forward_kinematics(rotations, root, skeleton).astype(np.float32)
-
-
 FORMATS = {
     layout.name: Format(
         name=layout.name,
@@ -146,3 +159,10 @@ FORMATS = {
     )
     for layout in LAYOUTS
 }
+MOTIUS_FORMAT = Format(
+    name="motius",
+    read=of_path(partial(read_vectors, layout=next(layout for layout in LAYOUTS if layout.name == "motion-135"))),
+    suffixes=(".npz",),
+    accepts=lambda head: MOTIUS_KEY in head.array_names,
+    turns_up=True,
+)

@@ -90,3 +90,12 @@ def ardy_rows(positions: np.ndarray, world: np.ndarray) -> np.ndarray:
         columns = [np.concatenate([matrix[:, 0], matrix[:, 1]]) for matrix in matrices]
         rows.append(np.concatenate([joints[0], [1, 0], level.ravel(), *columns, np.zeros(3 * len(joints) + 4)]))
     return np.array(rows, np.float32)
+
+
+def flowmdm_rows(translation: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """[T, 135] of translations [T, 3], z up, and local quaternions [T, 22, 4]: height, steps, two rows a rotation."""
+    rows = []
+    for frame, place in enumerate(translation):
+        step = (place - translation[frame - 1])[:2] if frame else [0.0, 0.0]
+        rows.append([place[2], *step, *np.ravel([_matrix(turn)[:2] for turn in turns[frame]])])
+    return np.array(rows, np.float32)

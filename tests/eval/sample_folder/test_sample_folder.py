@@ -13,8 +13,9 @@ from eval.sample_folder.reading import read_manifest
 from motionkit.core.errors import FormatError
 from motionkit.core.moments import moments
 from motionkit.features.layout import vector_layout
+from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers import published_layouts as published
-from tests.helpers.vector_samples import dart_rows, walk
+from tests.helpers.vector_samples import dart_rows, hymotion_rows, walk
 
 JOINTS = published.motions()[0]
 BROKEN = JOINTS.copy()
@@ -288,6 +289,15 @@ def test_vectors_of_a_shared_width_are_named(tmp_path: Path) -> None:
     samples = read(folder)
     assert samples.fps == (Fraction(30),)
     np.testing.assert_allclose(samples.sequences[0], motion.joint_positions[:-1], atol=1e-5)
+
+
+def test_motius_archives_and_tables_of_the_robot(tmp_path: Path) -> None:
+    rows = hymotion_rows(walk(), mean_shape_skeleton().offsets[0])[:, :135]
+    np.savez(tmp_path / "a.npz", motion_135=rows)
+    (tmp_path / "b.csv").write_text(f"{','.join(['0,0,0.79,1', *'0' * 32])}\n" * 40)
+    samples = read(tmp_path)
+    assert (samples.sequence_ids, set(samples.fps), samples.left_out) == (("a", "b"), {Fraction(30)}, ())
+    assert samples.sequences.num_frames.tolist() == [len(rows), 40]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import motionkit as mk
-from motionkit.io import registry, vector_layouts
+from motionkit.io import g1_csv, registry, vector_layouts
 from motionkit.io.bvh import read_bvh
 from motionkit.io.npz import read_npz
 from motionkit.io.registry import ReadOptions, readers
@@ -40,7 +40,7 @@ def read_source(source: Path, options: ReadOptions = OPTIONS) -> tuple[list[mk.M
 
 
 def test_there_is_a_source_of_every_format():
-    assert {*SOURCES, *vector_layouts.FORMATS, "easymocap"} == set(readers())
+    assert {*SOURCES, *vector_layouts.FORMATS, *g1_csv.FORMATS, "easymocap", "motius"} == set(readers())
 
 
 @pytest.mark.parametrize("known", registry._BUILT_IN, ids=lambda known: known.name)

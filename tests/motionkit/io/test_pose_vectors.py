@@ -21,7 +21,15 @@ from motionkit.io.smpl_body import mean_shape_skeleton
 from motionkit.io.texts import read_texts
 from tests.helpers.every_format import write_pose_folder
 from tests.helpers.refusal import refusal
-from tests.helpers.vector_samples import ardy_rows, dart_rows, hymotion_rows, interhuman_rows, motionstreamer_rows, walk
+from tests.helpers.vector_samples import (
+    ardy_rows,
+    dart_rows,
+    flowmdm_rows,
+    hymotion_rows,
+    interhuman_rows,
+    motionstreamer_rows,
+    walk,
+)
 
 
 def test_recovery_reproduces_the_published_joints(golden_humanml3d: Path) -> None:
@@ -241,30 +249,107 @@ def test_ardy(tmp_path: Path, motion: mk.Motion) -> None:
     np.testing.assert_allclose(abs(np.sum(found.local_rotations * local, axis=-1)), 1, atol=1e-5)
 
 
-def test_unitree_g1_stands_as_its_model_does(tmp_path: Path) -> None:
-    """The reference walks the tree link by link with scipy, in MuJoCo's frame."""
+def test_flowmdm_shares_a_width_with_motion135(tmp_path: Path) -> None:
+    rest, source = mean_shape_skeleton(), walk()
+    assert source.local_rotations is not None and source.root_translation is not None
+    up = Rotation.from_matrix([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    turns = source.local_rotations.astype(np.float64)
+    turns[:, 0] = (up * Rotation.from_quat(turns[:, 0], scalar_first=True)).as_quat(scalar_first=True)
+    places = up.apply(source.root_translation)
+    expected = kinematics.forward_kinematics(turns, places, rest)
+    rows = flowmdm_rows(places - rest.offsets[0], turns)
+    np.save(tmp_path / "a.npy", rows)
+    assert not scan([tmp_path]).items, "135 numbers may be Motius' or FlowMDM's"
+    (item,) = scan([tmp_path], ReadOptions(format="flowmdm-135")).items
+    found = read(item)
+    assert found.fps == 30
+    # Paths begin at 0.
+    world = Rotation.apply(up, found.joint_positions.reshape(-1, 3)).reshape(expected.shape)
+    np.testing.assert_allclose(world, expected - (places[0] - rest.offsets[0]) * [1, 1, 0], atol=1e-4)
+    assert found.local_rotations is not None
+    np.save(tmp_path / "a.npy", (rows - rows.mean(axis=0)) / 0.1)
+    assert refusal(read, item).reason == "unit"
+
+
+def test_motius_npz(tmp_path: Path) -> None:
+    rows = hymotion_rows(walk(), mean_shape_skeleton().offsets[0])[:, :135]
+    np.savez(tmp_path / "a.npz", motion_135=rows)
+    np.save(tmp_path / "b.npy", rows)
+    expected = mk.read(tmp_path / "b.npy", format="motion-135")
+    found = mk.read(tmp_path / "a.npz")
+    assert found.fps == 30
+    np.testing.assert_array_equal(found.joint_positions, expected.joint_positions)
+    np.savez(tmp_path / "a.npz", motion_135=rows[:, :134])
+    assert refusal(mk.read, tmp_path / "a.npz").reason == "channel-count"
+
+
+def g1_walk() -> tuple[np.ndarray, Rotation, np.ndarray, np.ndarray]:
+    """Root [6, 3], its rotations, angles [6, 29] and joints [6, 34, 3], z up, link by link with scipy."""
     rng, (skeleton, turns, axes) = np.random.default_rng(0), g1()
     hinges = np.flatnonzero(axes.any(axis=1)).tolist()
     assert len(hinges) == 29
-    rows = np.zeros((6, 38), np.float32)
-    rows[1:, :2], rows[:, 2], rows[:, 9:] = 0.02, 0.76, rng.uniform(-0.4, 0.4, (6, 29))
-    heading = Rotation.from_rotvec([0.1, 0.0, 0.7])
-    rows[:, 3:9] = heading.as_matrix()[:, :2].ravel()
-    expected = np.zeros((6, 34, 3))
+    root = np.stack([0.02 * np.arange(6), 0.02 * np.arange(6), np.full(6, 0.76)], axis=1)
+    heading = Rotation.from_rotvec([[0.1, 0.0, 0.7 + 0.1 * frame] for frame in range(6)])
+    angles, joints = rng.uniform(-0.4, 0.4, (6, 29)), np.zeros((6, 34, 3))
     for frame in range(6):
-        frames = [heading]
-        expected[frame, 0] = [0.02 * frame, 0.02 * frame, 0.76]
+        frames = [heading[frame]]
+        joints[frame, 0] = root[frame]
         for joint in range(1, 34):
             above = skeleton.parents[joint]
-            expected[frame, joint] = expected[frame, above] + frames[above].apply(skeleton.offsets[joint])
-            angle = rows[frame, 9 + hinges.index(joint)] if joint in hinges else 0.0
+            joints[frame, joint] = joints[frame, above] + frames[above].apply(skeleton.offsets[joint])
+            angle = angles[frame, hinges.index(joint)] if joint in hinges else 0.0
             own = Rotation.from_quat(turns[joint], scalar_first=True) * Rotation.from_rotvec(angle * axes[joint])
             frames.append(frames[above] * own)
-    found = _read(tmp_path / "a.npy", rows)
+    return root, heading, angles, joints
+
+
+def test_unitree_g1_stands_as_its_model_does(tmp_path: Path) -> None:
+    root, heading, angles, expected = g1_walk()
+    sixes = heading.as_matrix()[:, :, :2].reshape(6, 6)
+    rows = np.concatenate([np.diff(root[:, :2], axis=0, prepend=0), root[:, 2:], sixes, angles], axis=1)
+    found = _read(tmp_path / "a.npy", np.float32(rows))
     np.testing.assert_allclose(found.joint_positions[..., [0, 2, 1]] * [1, -1, 1], expected, atol=1e-5)
+    again = kinematics.forward_kinematics(found.local_rotations, found.root_translation, found.skeleton)
+    np.testing.assert_allclose(again, found.joint_positions, atol=1e-5)
     # The published model stands with its pelvis 0.793 m above the floor.
     zero = _read(tmp_path / "zero.npy", np.eye(1, 38, 3, dtype=np.float32) + np.eye(1, 38, 6, dtype=np.float32))
-    assert zero.joint_positions[0, skeleton.index("right_toe_base"), 1] == pytest.approx(-0.793, abs=2e-3)
+    assert zero.joint_positions[0, found.skeleton.index("right_toe_base"), 1] == pytest.approx(-0.793, abs=2e-3)
     assert map_joints(zero, "smpl22").shape == (1, 22, 3)
     np.savez(tmp_path / "kimodo.npz", posed_joints=found.joint_positions)
-    assert mk.read(tmp_path / "kimodo.npz").skeleton.joint_names == skeleton.joint_names
+    assert mk.read(tmp_path / "kimodo.npz").skeleton.joint_names == found.skeleton.joint_names
+
+
+def _rows(table: np.ndarray) -> str:
+    return "".join(",".join(f"{value:.8f}" for value in row) + "\n" for row in table)
+
+
+LEG, WAIST = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll"), ("yaw", "roll", "pitch")
+ARM = ("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw")
+LIMBS = (("left", LEG), ("right", LEG), ("waist", WAIST), ("left", ARM), ("right", ARM))
+
+
+@pytest.mark.parametrize("kind", ["seed", "w first", "w last"])
+def test_unitree_g1_in_csv(tmp_path: Path, kind: str) -> None:
+    root, heading, angles, expected = g1_walk()
+    path = tmp_path / "walk.csv"
+    if kind == "seed":
+        names = [f"root_{what}{axis}" for what in ("translate", "rotate") for axis in "XYZ"]
+        header = ",".join(
+            ["Frame", *names, *(f"{limb}_{hinge}_joint_dof" for limb, hinges in LIMBS for hinge in hinges)]
+        )
+        table = [np.arange(6)[:, None], 100 * root, heading.as_euler("xyz", degrees=True), np.degrees(angles)]
+        path.write_text(f"{header}\n{_rows(np.concatenate(table, axis=1))}")
+    else:
+        quaternions = heading.as_quat(scalar_first=kind == "w first")
+        path.write_text(_rows(np.concatenate([root, quaternions, angles], axis=1)))
+    found = mk.read(path)
+    assert found.fps == (120 if kind == "seed" else 30)
+    np.testing.assert_allclose(found.joint_positions[..., [0, 2, 1]] * [1, -1, 1], expected, atol=1e-5)
+    again = kinematics.forward_kinematics(found.local_rotations, found.root_translation, found.skeleton)
+    np.testing.assert_allclose(again, found.joint_positions, atol=1e-5)
+    if kind != "seed":
+        other = mk.read(path, format="g1-csv-xyzw" if kind == "w first" else "g1-csv-wxyz")
+        assert np.abs(other.joint_positions - found.joint_positions).max() > 0.5
+    text = path.read_text()
+    path.write_text(text.replace(",root_rotateX", ",rotateX") if kind == "seed" else text.rpartition(",")[0])
+    assert refusal(mk.read, path, format="g1-csv").reason == "channel-count"

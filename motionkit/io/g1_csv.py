@@ -1,0 +1,108 @@
+"""CSV tables of Unitree G1's root and 29 hinge angles, z up, x forward; joints by forward kinematics.
+
+BONES-SEED's have a header: Frame, root_translateX (cm), root_rotateX (degrees about the fixed axes x, y, z in turn),
+left_hip_pitch_joint_dof (degrees) and so on, at 120 fps (https://github.com/bones-studio/seed-viewer, docs/
+models-and-animation.md; https://github.com/NVlabs/ProtoMotions, seed_g1_csv_preparation.rst). Others have none, but 36
+numbers a row in metres and radians, mostly at 30 fps: position, quaternion, angles. Kimodo and ARDY write the
+quaternion's w first (https://github.com/nv-tlabs/kimodo, output_formats.md), GMR and Unitree's LAFAN1 dataset last.
+"""
+
+import re
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
+from motionkit.core.motion import Motion
+from motionkit.core.shapes import Float, Float64
+from motionkit.core.timegrid import TimeGrid
+from motionkit.io import body_frame, joints_csv, source_file
+from motionkit.io.kimodo import g1
+from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
+
+SEED_FPS, USUAL_FPS = Fraction(120), Fraction(30)
+SEED_ROOT = tuple(f"root_{what}{axis}" for what in ("translate", "rotate") for axis in "XYZ")
+NUM_COLUMNS = 36
+NUMBER = re.compile(r"\s*[-+]?\d*\.?\d+(e[-+]?\d+)?\s*", re.IGNORECASE)
+HINGES = tuple(np.flatnonzero(g1()[2].any(axis=1)).tolist())
+W_FIRST, W_LAST = "g1-csv-wxyz", "g1-csv-xyzw"
+
+
+def accepts(head: FileHead) -> bool:
+    """Whether the first line is BONES-SEED's header, or 36 numbers."""
+    names = head.column_names
+    return set(SEED_ROOT) <= set(names) or (len(names) == NUM_COLUMNS and all(map(NUMBER.fullmatch, names)))
+
+
+def posed(
+    root: Float[np.ndarray, "frames 3"], rotation: Float[np.ndarray, "frames 4"], angles: Float[np.ndarray, "frames 29"]
+) -> tuple[Float64[np.ndarray, "frames 34 3"], Float64[np.ndarray, "frames 34 4"]]:
+    """Joint positions in metres and local rotations of a root's place and rotation, and angles in radians."""
+    skeleton, turns, axes = g1()
+    vectors = np.zeros((len(angles), skeleton.num_joints, 3))
+    vectors[:, HINGES] = angles[..., None] * axes[list(HINGES)]
+    local = kinematics.quaternion_multiply(turns, kinematics.rotation_vector_to_quaternion(vectors))
+    local[:, 0] = rotation
+    return kinematics.forward_kinematics(local, root, skeleton), local
+
+
+def read_g1_csv(path: Path, options: ReadOptions = ReadOptions(), order: str = "") -> Motion:
+    """Read one table as positions in metres, y up, and local rotations; `order` says where a quaternion's w stands.
+
+    Without it w is where the pelvis is upright; last, if it is upright either way. Raises `FormatError`
+    (`channel-count` for missing columns, and what `joints_csv.table` raises).
+    """
+    data = source_file.read_bytes(path)
+    names = joints_csv.header(data, path)
+    log: list[str] = []
+    if SEED_ROOT[0] in names:
+        joints = (g1()[0].joint_names[hinge].removesuffix("_skel") for hinge in HINGES)
+        columns = (*SEED_ROOT, *(f"{joint}_joint_dof" for joint in joints))
+        if absent := [name for name in columns if name not in names]:
+            message = f"no column {', '.join(absent[:3])}, expected {', '.join(columns[:7])} …"
+            raise FormatError(message, path=path, reason="channel-count", line=1)
+        values = joints_csv.table(data, names, path)[:, [names.index(name) for name in columns]]
+        usual, root, angles = SEED_FPS, values[:, :3] / 100, np.radians(values[:, 6:])
+        rotation = kinematics.euler_to_quaternion(np.radians(values[:, 3:6]), "XYZ", kind="extrinsic")
+    else:
+        values = joints_csv.table(data, tuple(map(str, range(len(names)))), path, has_header=False)
+        if values.shape[1] != NUM_COLUMNS:
+            message = f"{values.shape[1]} columns, expected 36: position, quaternion, 29 angles"
+            raise FormatError(message, path=path, reason="channel-count", line=1)
+        usual, root, rotation, angles = USUAL_FPS, values[:, :3], values[:, 3:7], values[:, 7:]
+        # The cosine of the pelvis' tilt is 1 - 2 (q1² + q2²) with w first, and 1 - 2 (q0² + q1²) with w last.
+        first = order == W_FIRST or (not order and np.mean(rotation[:, 0] ** 2) > np.mean(rotation[:, 2] ** 2))
+        rotation = rotation if first else np.roll(rotation, 1, axis=1)
+        rotation = rotation / np.maximum(np.linalg.norm(rotation, axis=1, keepdims=True), 1e-9)
+        log.append(f"quaternions' w stands {'first' if first else 'last'}" + ("" if order else " (the pelvis upright)"))
+    positions, local = posed(root, rotation, angles)
+    up = options.up or "z"
+    log += body_frame.log_lines(up, options.up)
+    fps = options.fps or usual
+    motion = Motion(
+        positions.astype(np.float32),
+        g1()[0],
+        TimeGrid(fps, len(positions)),
+        local_rotations=local.astype(np.float32),
+        root_translation=positions[:, 0].astype(np.float32),
+        sequence_id=path.stem,
+        provenance=source_file.provenance(
+            path, data, "g1-csv", [*log, *source_file.replaced_fps(fps, usual, who="the format")]
+        ),
+    )
+    return body_frame.turned(motion, up)
+
+
+FORMATS = {
+    name: Format(
+        name=name,
+        read=of_path(partial(read_g1_csv, order=order)),
+        suffixes=(".csv",),
+        accepts=accepts,
+        turns_up=True,
+    )
+    for name, order in (("g1-csv", ""), (W_FIRST, W_FIRST), (W_LAST, W_LAST))
+}
