@@ -218,8 +218,8 @@ class WrittenMotion:
 def write_edited(edited: EditedMotion, loaded: LoadedMotion, path: Path) -> None:
     """Write an edited motion in the format of the path's suffix; BVH files and pose vectors as they came.
 
-    In a BVH file with a document, given frames keep their lines, and others have its channels. Raises `FormatError` for
-    a document whose angles are not unique, and what the writer raises.
+    In a BVH file with a document, given frames keep their lines, and others have its channels. Raises what the writer
+    raises.
     """
     document = loaded.document
     if document is not None and path.suffix.lower() == ".bvh":

@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,8 +39,6 @@ WRITTEN_DECIMALS = 6
 # Tolerance of written positions against the expected ones, and of rotations, which are float32.
 _SAME_METRES = 2e-6
 _SAME_RADIANS = 2e-6
-# Gimbal lock: nearer to the pole than this cosine, only the sum of the first and the last angle is determined.
-_POLE_COSINE = 1e-5
 _MOTION = re.compile(rb"(?m)^[ \t]*MOTION[ \t]*\r?$")
 _FRAMES = re.compile(rb"(?i)\s*Frames[ \t]*:([^\n]*)")
 _FRAME_TIME = re.compile(rb"(?i)\s*Frame[ \t]+Time[ \t]*:([^\n]*)")
@@ -359,11 +356,11 @@ def parse_hierarchy(text: str) -> tuple[BvhJoint, ...]:
                         axis, kind = CHANNELS.get(word.capitalize(), ("", ""))
                         if kind == "position" and "XYZ".index(axis) not in inner.position_columns:
                             inner.position_columns["XYZ".index(axis)] = column
-                        elif kind == "rotation" and len(inner.order) < 3:
+                        elif kind == "rotation" and len(inner.order) < 3 and not inner.order.endswith(axis):
                             inner.rotation_columns.append(column)
                             inner.order += axis
                         else:
-                            expected = f"at most 3 rotations, and each of {', '.join(CHANNELS)} at most once"
+                            expected = f"each of {', '.join(CHANNELS)} at most once, no axis twice in a row"
                             raise fault(f"channel {word!r} of joint {inner.name!r}: expected {expected}", "channels")
                     num_channels += len(words) - 1
                 case "END" | "{" | "}" | "OFFSET" | "CHANNELS":
@@ -527,9 +524,7 @@ def write_bvh(motion: Motion, path: Path, *, unit_metres: float = 0.01) -> None:
     animated = joint_channels(motion)
     skeleton, translations = animated.skeleton, animated.translations
     rotations = animated.rotations.astype(np.float64)
-    # In gimbal lock angles are ratios of small numbers, which float32's deviations from unit length would decide.
-    rotations /= np.linalg.norm(rotations, axis=-1, keepdims=True)
-    angles = np.degrees(_zxy_angles(kinematics.quaternion_to_matrix(rotations)))
+    angles = np.degrees(_euler_angles(rotations.reshape(-1, 4), "ZXY")).reshape(*rotations.shape[:2], 3)
     scale = 1.0 / unit_metres
     order, lines = _hierarchy(skeleton, translations, scale)
     columns = []
@@ -542,18 +537,15 @@ def write_bvh(motion: Motion, path: Path, *, unit_metres: float = 0.01) -> None:
     path.write_bytes("\n".join(lines).encode() + source_file.format_table(table))
 
 
-def _zxy_angles(matrices: Float64[np.ndarray, "frames joints 3 3"]) -> Float64[np.ndarray, "frames joints 3"]:
-    # R = Rz·Rx·Ry; in gimbal lock, where only z ± y is determined, y is set to zero.
-    across = np.hypot(matrices[..., 0, 1], matrices[..., 1, 1])
-    pole = across < 1e-9
-    x = np.arctan2(matrices[..., 2, 1], across)
-    z = np.where(
-        pole,
-        np.arctan2(matrices[..., 1, 0], matrices[..., 0, 0]),
-        np.arctan2(-matrices[..., 0, 1], matrices[..., 1, 1]),
-    )
-    y = np.where(pole, 0.0, np.arctan2(-matrices[..., 2, 0], matrices[..., 2, 2]))
-    return np.stack((z, x, y), axis=-1)
+def _euler_angles(rotations: Float64[np.ndarray, "rotations 4"], axes: str) -> Float64[np.ndarray, "rotations 3"]:
+    """Angles in radians about the axes; in gimbal lock the last one is 0."""
+    import warnings
+
+    from scipy.spatial.transform import Rotation
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about gimbal lock
+        return np.array(Rotation.from_quat(rotations, scalar_first=True).as_euler(axes))  # type: ignore[call-overload]
 
 
 def _hierarchy(skeleton: Skeleton, translated: Iterable[int], scale: float) -> tuple[list[int], list[str]]:
@@ -587,14 +579,6 @@ def _hierarchy(skeleton: Skeleton, translated: Iterable[int], scale: float) -> t
     return order, lines
 
 
-def check_writable(document: BvhDocument) -> None:
-    """Raise `FormatError` (`channels`) for a joint whose angles do not follow from its rotation."""
-    for joint in document.head.joints:
-        if any(first == second for first, second in pairwise(joint.order)):
-            message = f"joint {joint.name!r} turns twice in a row about one axis ({joint.order}), which is not unique"
-            raise FormatError(message, path=document.path, reason="channels")
-
-
 @dataclass(frozen=True, eq=False)
 class KnownFrames:
     """The frames of a document, ascending, that are known among new ones, and their times in the written file.
@@ -611,10 +595,9 @@ class KnownFrames:
 def rewrite_bvh(document: BvhDocument, path: Path, motion: Motion, known: KnownFrames) -> None:
     """Write a motion of the document's skeleton, with rotations, with the document's own text and channels.
 
-    Kept rows are the document's lines, unchanged. The angles of the others continue those of the known frames, and a
-    channel that is constant between two known frames keeps its exact digits. Raises `FormatError` as `check_writable`.
+    Kept rows are the document's lines, unchanged. The angles of the others are the nearest to those on straight lines
+    between the known frames, and a channel that is constant between two of these keeps its exact digits.
     """
-    check_writable(document)
     from motionkit.fields.motion_field import Poses  # reading a file loads no motion fields
 
     rows = _channel_rows(document, Poses.of(motion), motion.timegrid.seconds(), known)
@@ -631,26 +614,9 @@ def rewrite_bvh(document: BvhDocument, path: Path, motion: Motion, known: KnownF
 def _channel_rows(
     document: BvhDocument, poses: "Poses", seconds: Float64[np.ndarray, "times"], known: KnownFrames
 ) -> Float64[np.ndarray, "times channels"]:
+    """Poses as rows of channels."""
     anchors = document.table[known.frames]
-    after = np.searchsorted(known.seconds, seconds + 1e-9, side="right") - 1
     expected = np.stack([np.interp(seconds, known.seconds, channel) for channel in anchors.T], axis=1)
-    rows = np.empty_like(expected)
-    # Rows before the first known frame continue it backwards in time.
-    for places in (np.flatnonzero(after < 0)[::-1], np.flatnonzero(after >= 0)):
-        if places.size:
-            after_anchor = np.maximum(after[places], 0)
-            rows[places] = _converted(document, poses.rows(places), expected[places], anchors, after_anchor)
-    return rows
-
-
-def _converted(
-    document: BvhDocument,
-    poses: "Poses",
-    expected: Float64[np.ndarray, "times channels"],
-    anchors: Float64[np.ndarray, "known channels"],
-    after: Int64[np.ndarray, "times"],
-) -> Float64[np.ndarray, "times channels"]:
-    """Poses as rows of channels; row t continues the rows after anchor `after[t]`."""
     joints, skeleton = document.head.joints, document.motion.skeleton
     rotations, positions = _file_axes(document, poses)
     placed = (0, *document.moving)
@@ -673,9 +639,8 @@ def _converted(
     for index, joint in enumerate(joints):
         if joint.order and index >= carried:
             columns = joint.rotation_columns
-            rows[:, columns] = anchored_angles(
-                rotations[:, index - carried], joint.order, expected[:, columns], anchors[:, columns], after
-            )
+            angles = angles_near(rotations[:, index - carried], joint.order, expected[:, columns])
+            rows[:, columns] = angles if len(anchors) > 1 else np.unwrap(angles, period=360.0, axis=0)
     return rows
 
 
@@ -712,84 +677,27 @@ def _places(
     return places
 
 
-def anchored_angles(
-    rotations: Float64[np.ndarray, "times 4"],
-    order: str,
-    expected: Float64[np.ndarray, "times axes"],
-    anchors: Float64[np.ndarray, "anchors axes"],
-    after: Int64[np.ndarray, "times"],
+def angles_near(
+    rotations: Float64[np.ndarray, "times 4"], order: str, expected: Float64[np.ndarray, "times axes"]
 ) -> Float64[np.ndarray, "times axes"]:
-    """Euler angles in degrees about the axes of `order` (one to three) of each rotation of one joint.
+    """Euler angles in degrees about the axes of `order` (one to three), the nearest to the `expected` ones.
 
-    Row t is continuous with row t − 1 if both come after the same anchor, else with the anchor `after[t]` (degrees). If
-    the `expected` angles give the rotation, they are returned, so a constant channel keeps its exact digits. An order
-    of fewer than three axes gives the angles of the nearest rotation about those axes.
+    If these give the rotation, they are returned, so a constant channel keeps its exact digits. An order of fewer than
+    three axes gives the angles of the nearest rotation about those axes.
     """
     axes = order + "".join(axis for axis in "XYZ" if axis not in order) if len(order) < 3 else order
-    pad = ((0, 0), (0, 3 - len(order)))
-    expected, anchors = np.radians(np.pad(expected, pad)), np.radians(np.pad(anchors, pad))
-    principal = _principal_angles(rotations, axes, expected)
-    angles = _continued(principal, anchors, after, is_proper=axes[0] == axes[2])
+    expected = np.radians(np.pad(expected, ((0, 0), (0, 3 - len(order)))))
     between = kinematics.quaternion_multiply(
         kinematics.quaternion_conjugate(kinematics.euler_to_quaternion(expected, axes)), rotations
     )
     same = 2 * np.arctan2(np.linalg.norm(between[:, 1:], axis=-1), np.abs(between[:, 0])) < _SAME_RADIANS
-    return np.degrees(np.where(same[:, None], expected, angles))[:, : len(order)]
-
-
-def _principal_angles(
-    rotations: Float64[np.ndarray, "times 4"], axes: str, expected: Float64[np.ndarray, "times 3"]
-) -> Float64[np.ndarray, "times 3"]:
-    """One triple per rotation; in gimbal lock the one with the expected last angle."""
-    import warnings
-
-    from scipy.spatial.transform import Rotation
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # about gimbal lock, handled below
-        angles = np.array(Rotation.from_quat(rotations, scalar_first=True).as_euler(axes))  # type: ignore[call-overload]
-    second = angles[:, 1]
-    pole = np.abs(np.sin(second) if axes[0] == axes[2] else np.cos(second)) < _POLE_COSINE
-    if pole.any():
-        last_two = np.stack((second[pole], expected[pole, 2]), axis=-1)
-        rest = kinematics.quaternion_conjugate(kinematics.euler_to_quaternion(last_two, axes[1:]))
-        first = kinematics.quaternion_multiply(rotations[pole], rest)
-        angles[pole, 0] = 2 * np.arctan2(first[:, "XYZ".index(axes[0]) + 1], first[:, 0])
-        angles[pole, 2] = expected[pole, 2]
-    return angles
-
-
-def _continued(
-    principal: Float64[np.ndarray, "times 3"],
-    anchors: Float64[np.ndarray, "anchors 3"],
-    after: Int64[np.ndarray, "times"],
-    *,
-    is_proper: bool,
-) -> Float64[np.ndarray, "times 3"]:
-    """The triples and full turns that continue the anchors.
-
-    A rotation has two triples. The shorter step from one row to the next is between the same of both, or between
-    different ones; which of them a row has is thus the parity of the changes since its anchor.
-    """
-    first, second, third = principal.T
-    other = np.stack((first + np.pi, -second if is_proper else np.pi - second, third + np.pi), axis=-1)
-    is_first = np.concatenate(([True], after[1:] != after[:-1]))  # of the rows after the same anchor
-    first_row = np.maximum.accumulate(np.where(is_first, np.arange(len(after)), 0))
-    start = anchors[after]
-
-    def steps_to(angles: Float64[np.ndarray, "times 3"], rows: Float64[np.ndarray, "times 3"]) -> np.ndarray:
-        previous = np.where(is_first[:, None], start, np.concatenate((start[:1], rows[:-1])))
-        step = angles - previous
-        return np.asarray(step - 2 * np.pi * np.rint(step / (2 * np.pi)))
-
-    changes = np.abs(steps_to(other, principal)).sum(axis=-1) < np.abs(steps_to(principal, principal)).sum(axis=-1)
-    total = np.cumsum(changes)
-    is_other = (total - total[first_row] + changes[first_row]) % 2 == 1
-    chosen = np.where(is_other[:, None], other, principal)
-    steps = np.cumsum(steps_to(chosen, chosen), axis=0)
-    unwound = start + steps - np.where(first_row[:, None] > 0, steps[first_row - 1], 0.0)
-    # The sum gives only the number of full turns, so that rounding errors of the angle do not accumulate.
-    return np.asarray(chosen + 2 * np.pi * np.rint((unwound - chosen) / (2 * np.pi)))
+    # A rotation has two triples of angles, each up to full turns.
+    first, second, third = (angles := _euler_angles(rotations, axes)).T
+    second = -second if axes[0] == axes[2] else np.pi - second
+    both = np.stack((angles, np.stack((first + np.pi, second, third + np.pi), axis=-1)))
+    both += 2 * np.pi * np.rint((expected - both) / (2 * np.pi))
+    nearest = np.abs(both - expected).sum(axis=-1).argmin(axis=0)
+    return np.degrees(np.where(same[:, None], expected, both[nearest, np.arange(len(both[0]))]))[:, : len(order)]
 
 
 FORMAT = Format(

@@ -13,7 +13,7 @@ from motionkit.core.shapes import Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.planted import planted_frames
 from motionkit.fields.motion_field import Observation
-from motionkit.io.bvh import BvhDocument, KnownFrames, check_writable, read_document, rewrite_bvh
+from motionkit.io.bvh import BvhDocument, KnownFrames, read_document, rewrite_bvh
 from motionkit.io.gltf import read_rig
 from motionkit.io.registry import Format, ReadOptions
 from motionkit.io.retargeting import retarget, standing_skeleton, stands
@@ -51,7 +51,6 @@ def read_character(path: Path, options: ReadOptions) -> Character:
     suffix = path.suffix.lower()
     if suffix == ".bvh":
         document = read_document(path, options)
-        check_writable(document)
         skeleton = document.motion.skeleton
         write: Callable[[Motion, Path], None] = partial(_write_bvh, document)
         rest = None if stands(skeleton) else np.asarray(document.local_rotations[0], np.float64)

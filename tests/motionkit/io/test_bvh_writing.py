@@ -23,7 +23,7 @@ from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation
 from motionkit.fields.resample import begin_completion
 from motionkit.fields.rig import on_bones
-from motionkit.io.bvh import BvhDocument, KnownFrames, anchored_angles, read_bvh, read_document, rewrite_bvh, write_bvh
+from motionkit.io.bvh import BvhDocument, KnownFrames, angles_near, read_bvh, read_document, rewrite_bvh, write_bvh
 from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import parse_rules
 from motionkit.store.ingest import ingest
@@ -253,21 +253,20 @@ def test_ingest_and_complete_see_one_motion_and_a_completed_one_is_read_again(tm
 
 
 ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX", "ZXZ", "XYX", "YZY")
-EVERY = 4
 
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10_000), order=st.sampled_from(ORDERS), turns=st.integers(-2, 2), other=st.booleans())
-def test_angles_give_the_rotations_and_stay_near_their_anchors(seed: int, order: str, turns: int, other: bool) -> None:
+def test_angles_give_the_rotations_and_stay_near_the_expected(seed: int, order: str, turns: int, other: bool) -> None:
     rng = np.random.default_rng(seed)
     vectors = rng.normal(size=3) + np.cumsum(0.02 * rng.normal(size=3) + 0.006 * rng.normal(size=(40, 3)), axis=0)
     rotations = Rotation.from_rotvec(vectors).as_quat(scalar_first=True)
-    known = Rotation.from_quat(rotations[::EVERY], scalar_first=True).as_euler(order)
+    angles = Rotation.from_quat(rotations, scalar_first=True).as_euler(order)
     if other:
-        second = -known[:, 1] if order[0] == order[2] else np.pi - known[:, 1]
-        known = np.stack((known[:, 0] + np.pi, second, known[:, 2] + np.pi), axis=1)
-    anchors = np.degrees(known + 2 * np.pi * turns)
-    found = anchored_angles(rotations, order, np.zeros((40, len(order))), anchors, np.arange(40) // EVERY)
+        second = -angles[:, 1] if order[0] == order[2] else np.pi - angles[:, 1]
+        angles = np.stack((angles[:, 0] + np.pi, second, angles[:, 2] + np.pi), axis=1)
+    expected = np.degrees(angles + 2 * np.pi * turns)
+    found = angles_near(rotations, order, expected + rng.uniform(-1, 1, expected.shape))
     again = euler_to_quaternion(np.radians(found), order)
     assert np.abs(np.sum(again * rotations, axis=-1)).min() > 1 - 1e-9
-    np.testing.assert_allclose(found[::EVERY], anchors, atol=1e-3)
+    assert (np.abs(found - expected).sum(axis=1) < 1e-6).mean() > 0.9  # near gimbal lock another triple may be nearer
