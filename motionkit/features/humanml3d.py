@@ -132,18 +132,13 @@ def uniform_skeleton(
     leg = list(body.leg_joints)
     joints = joint_positions.transpose(2, 1, 0).astype(np.float32, order="C")
     bones = joints[:, 1:] - joints.take(tree.start, axis=1)
-    x, y, z = bones
-    length = x * x
-    length += y * y
-    length += z * z
-    np.sqrt(length, out=length)
+    length = np.sqrt(np.square(bones).sum(axis=0))
     source_leg = length[[joint - 1 for joint in leg], 0].sum()
-    if not length.all():
-        length[length == 0] = 1.0
-    bones *= np.divide(target[1:, None].astype(np.float32), length, out=length)
+    length[length == 0] = 1.0
+    bones *= target[1:, None].astype(np.float32) / length
     joints[:, 0] *= target[leg].sum() / source_leg
-    for below, above in tree.runs:
-        np.add(joints[:, above], bones[:, below.start - 1 : below.stop - 1], out=joints[:, below])
+    for joint, start in enumerate(tree.start, start=1):
+        joints[:, joint] = joints[:, start] + bones[:, joint - 1]
     return joints.transpose(2, 1, 0)
 
 
