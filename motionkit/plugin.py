@@ -9,6 +9,7 @@ COMMANDS = {
     "info": "motionkit.cli.info:info",
     "ingest": "motionkit.cli.ingest:ingest",
     "merge": "motionkit.cli.store:merge",
+    "pack": "motionkit.cli.hub:pack",
     "plant": "motionkit.cli.edit:plant",
     "pull": "motionkit.cli.hub:pull",
     "push": "motionkit.cli.hub:push",

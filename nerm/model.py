@@ -5,7 +5,7 @@ and toe of both feet are on the ground, at any t. Feet of generated motions slid
 say little about contacts; z still does (docs/results/trials.md).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache, partial
@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import MissingExtraError, UsageError
 from motionkit.core.files import sha256_of
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
@@ -257,6 +257,13 @@ def save_field(folder: StageFolder, trained: TrainedField) -> None:
     save_tensors(folder.model_path, tensors, description)
 
 
+def without_training_windows(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """A saved field's tensors with a single training window: the fastest, whose framerate generation needs."""
+    fastest = int((tensors["windows.fps_numerator"] / tensors["windows.fps_denominator"]).argmax())
+    of_windows = ("windows.", "posterior.")
+    return {name: t[fastest : fastest + 1] if name.startswith(of_windows) else t for name, t in tensors.items()}
+
+
 def load_field(run: RunFolder | Path, device: str | torch.device = "cpu") -> TrainedField:
     """Load a run's trained field; raises `CheckpointError` if it is missing or another model's."""
     folder = (run if isinstance(run, RunFolder) else RunFolder(run)).stage("field")
@@ -457,11 +464,19 @@ class NermModel:
     def text_encoder(self) -> TextEncoder:
         """The encoder it was trained with, loaded on first use.
 
-        Raises `UsageError` if it was trained without texts, `RunError` if the encoder's weights have changed.
+        Raises `UsageError` if it was trained without texts, or the encoder is not installed; `RunError` if the
+        encoder's weights have changed.
         """
         if not self.denoiser.text_fingerprint:
             raise UsageError(NO_TEXTS)
-        return load_same_encoder(self.denoiser.text_encoder, self.denoiser.text_fingerprint, "the model")
+        try:
+            return load_same_encoder(self.denoiser.text_encoder, self.denoiser.text_fingerprint, "the model")
+        except MissingExtraError as error:
+            actions = self.denoiser.layout.actions
+            instead = (
+                f"an action, such as {'walk' if 'walk' in actions else actions[0]}," if actions else "no condition"
+            )
+            raise UsageError(f"a text is read by an encoder: {error}; {instead} needs none") from None
 
     def generate(
         self,

@@ -1,4 +1,6 @@
-"""NeRM's stages, its model and motion encoder and ablations (`motionkit.core.plugins`)."""
+"""NeRM's stages, its model, motion encoder, ablations and the runs that it ships (`motionkit.core.plugins`)."""
+
+from pathlib import Path
 
 from motionkit.core.plugins import lazily
 from motionkit.training.run import Loader
@@ -10,3 +12,5 @@ MODELS = {
 }
 ENCODERS = {"nerm": Loader("NeRM", ("field",), lazily("nerm.encoding:load"), tasks=("reconstruction",))}
 ABLATIONS = {"nerm": "nerm.recipes:NERM"}
+# `motionkit pack` writes them (CONTRIBUTING.md).
+RUNS = {summary.parents[1].name: summary.parents[1] for summary in Path(__file__).parent.glob("runs/*/*/summary.json")}

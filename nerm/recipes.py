@@ -359,6 +359,7 @@ FIELD = Stage(
     share=0.5,
     shared=True,
     builds_on=lambda config: ("codebook",) if config.field.encoder.kind == "codebook" else (),
+    packed=lazily("nerm.model:without_training_windows"),
 )
 DENOISER = Stage(
     "denoiser",

@@ -73,6 +73,7 @@ def evaluate(
     from eval.clip_fid.score import Protocol
     from eval.sample_folder import SampleFolderError, SampleOptions
     from eval.tables.table import EvalConfig, name_and_fps
+    from motionkit.training.run import DEFAULT_RUN, find_run
 
     tables = _chosen(table, figure, calibrate, paper)
     if calibrate and samples:
@@ -85,7 +86,7 @@ def evaluate(
     elif glove or statistics:
         raise UsageError("--glove and --statistics need a published evaluator: give its --weights finest.tar")
     folder = runs or default_path("runs")
-    place = folder / (run or "nano")
+    place = find_run(run or DEFAULT_RUN, folder)
     own = place if not samples or place.is_dir() else None
     if own is None and run is not None:
         stderr.print(f"there is no run {str(place)!r}: only --samples have rows")

@@ -7,7 +7,7 @@ import typer
 
 from motionkit.cli.console import AsJson, RunsFolder, parse_rate, print_json, progress, stderr, stdout
 from motionkit.core.errors import UsageError, counted
-from motionkit.core.files import default_path, is_store
+from motionkit.core.files import is_store
 from motionkit.core.progress import task
 
 FORMATS = "bvh, amass, joints-npy, npz, csv, robot-csv, gltf"
@@ -73,7 +73,9 @@ def generate(
     model: Annotated[
         str | None, typer.Option(help="Installed model.", show_default="the one that the run holds")
     ] = None,
-    run: Annotated[str, typer.Option(help="Name of the run.")] = "nano",
+    run: Annotated[
+        str | None, typer.Option(help="Name of the run.", show_default="nano, else the shipped cmu-small")
+    ] = None,
     runs: RunsFolder = None,
     as_json: AsJson = False,
 ) -> None:
@@ -91,7 +93,7 @@ def generate(
     )
     from motionkit.store import Store
     from motionkit.training.detail import load_detail
-    from motionkit.training.run import RunFolder
+    from motionkit.training.run import RunFolder, find_run
     from motionkit.training.text import unfamiliar_texts
 
     if resume and overwrite:
@@ -109,7 +111,7 @@ def generate(
     constraints = parse_constraints(table, join, chosen, pose, joint, placed=pose_placed)
     request = MotionsRequest(tuple(chosen), count, instants, rate, join, constraints)
 
-    place = (runs or default_path("runs")) / run
+    place = find_run(run, runs)
     name = model or model_of(place)
     loaded = load_model(name, place)
     sampling, learnt = SamplingOptions(guidance, sampler, sampling_steps), load_detail(place) if detail else None
@@ -118,8 +120,8 @@ def generate(
     requests = [each for script in request.motions for each in script]
     given = list(dict.fromkeys(each.text for each in requests if each.text and not each.action))
     if given and hasattr(loaded, "text_encoder"):
-        trained_on = Path(RunFolder(place).stage(model_loader(name).stages[-1]).read_config()["store"])
-        if is_store(trained_on):
+        trained_on = RunFolder(place).stage(model_loader(name).stages[-1]).read_config()["store"]
+        if trained_on and is_store(Path(trained_on)):
             for text, nearest in unfamiliar_texts(loaded.text_encoder, Store.open(trained_on), given).items():
                 stderr.print(f"motionkit: nothing like {text!r} in training: nearest {nearest!r}")
     num_motions = len(request.motions)
@@ -138,7 +140,7 @@ def generate(
                 if not as_json:
                     stdout.print(facts["file"])
     if as_json:
-        about = {"model": loaded.name, "run": run, "seed": seed, "folder": str(out), "already_there": num_complete}
-        print_json({**about, "motions": motions})
+        about = {"model": loaded.name, "run": place.name, "seed": seed, "folder": str(out)}
+        print_json({**about, "already_there": num_complete, "motions": motions})
     elif num_complete:
         stderr.print(f"motionkit: {num_complete:,} of {counted(num_motions, 'motion')}: there already")

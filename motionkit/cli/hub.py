@@ -1,4 +1,4 @@
-"""`motionkit push` and `motionkit pull`: a store or a run onto the Hugging Face Hub, and from there."""
+"""`motionkit pack`, `push` and `pull`: a run for generation alone; a store or a run onto the Hub, and from there."""
 
 import re
 from pathlib import Path
@@ -7,19 +7,59 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.cli.console import AsJson, RunsFolder, print_json, progress, stdout
+from motionkit.cli.console import AsJson, Overwrite, RunsFolder, print_json, progress, stdout
 from motionkit.core.errors import StoreError, UsageError, counted
-from motionkit.core.files import default_path, require_empty, whole_folder
+from motionkit.core.files import default_path, require_empty, whole_folder, write_whole
 from motionkit.core.progress import task
 
 if TYPE_CHECKING:
     from motionkit.training.run import StageFolder
 
+README = "README.md"
+PACKED_TEXT = (
+    "A run of motionkit for generation alone: the stages {}, of half precision, without what training needs. What it "
+    "may be used for depends on the licences of the motions that it was trained from; this card does not know them."
+)
 RUN_TEXT = (
     "A run of motionkit with the stages {}; weights are safetensors, config.json has each stage's settings and "
     "summary.json its figures. What it may be used for depends on the licences of the motions that it was trained "
     "from; this card does not know them."
 )
+
+
+def pack(
+    run: Annotated[str, typer.Argument(help="Run to pack.", show_default=False)],
+    out: Annotated[Path, typer.Argument(help="Folder for the packed run.", show_default=False)],
+    model: Annotated[str | None, typer.Option(help="Installed model.", show_default="the run's")] = None,
+    runs: RunsFolder = None,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+) -> None:
+    """Pack a run's model for generation alone: half precision, without training latents, checkpoints and logs.
+
+    The packed folder is a run: 'generate --run FOLDER' uses it, 'push' shares it. The stage 'detail' goes along. A
+    README.md in the folder stays; without one a card is written.
+
+    Example: motionkit pack nano walker
+    """
+    from motionkit.generate.models import model_loader, model_of
+    from motionkit.store.reports import CARD
+    from motionkit.training import detail
+    from motionkit.training.pack import pack_run
+    from motionkit.training.run import RunFolder, find_run
+
+    place = find_run(run, runs)
+    stages = list(model_loader(model or model_of(place)).stages)
+    stages += [detail.NAME] if RunFolder(place).stage(detail.NAME).is_complete else []
+    files = pack_run(RunFolder(place), out, stages, overwrite=overwrite)
+    if not (card := out / README).exists():
+        text, code = PACKED_TEXT.format(", ".join(stages)), f'motionkit generate "a person walks" --run {out}'
+        write_whole(card, CARD.format(head="", text=text, code=code))
+    size = sum(path.stat().st_size for path in files)
+    if as_json:
+        print_json({"folder": str(out), "stages": stages, "bytes": size})
+    else:
+        stdout.print(f"packed {', '.join(stages)} into {out}: {size / 1e6:,.1f} MB")
 
 
 def push(
@@ -67,6 +107,8 @@ def push(
         patterns = tuple(f"{stage.path.name}/{path.name}" for stage in stages for path in stage.result_paths)
         text = RUN_TEXT.format(", ".join(stage.path.name for stage in stages))
         card = CARD.format(head="", text=text, code=f"motionkit pull {repository.to_uri()}")
+        if (folder / README).is_file():  # of a packed run
+            card = (folder / README).read_text(encoding="utf-8")
     url = "" if dry_run else hub.push(repository, folder, patterns, card, public=public)
     files = sorted(path for pattern in patterns for path in folder.glob(pattern))
     size = sum(path.stat().st_size for path in files)

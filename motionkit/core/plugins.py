@@ -1,10 +1,10 @@
 """What installed packages add to motionkit: one entry point a package, in the group `motionkit.plugins`.
 
 The entry point names a module with dictionaries from names to what the package adds (docs/extending.md): `COMMANDS`,
-`STAGES`, `MODELS`, `ENCODERS`, `TEXT_ENCODERS`, `FORMATS`, `TABLES`, `PLANS`, `ABLATIONS`. A value is an object, or its
-place "module:attribute", which is imported when it is used: so that module imports nothing heavy, and names can be
-listed at once. `ALL` are the names of those stages that `motionkit train --stage all` trains. The order is that of the
-entry points' names, motionkit's own first, and of the dictionaries.
+`STAGES`, `MODELS`, `ENCODERS`, `TEXT_ENCODERS`, `FORMATS`, `TABLES`, `PLANS`, `ABLATIONS`, and run folders (`RUNS`).
+A value is an object, or its place "module:attribute", which is imported when it is used: so that module imports nothing
+heavy, and names can be listed at once. `ALL` are the names of those stages that `motionkit train --stage all` trains.
+The order is that of the entry points' names, motionkit's own first, and of the dictionaries.
 """
 
 import sys
@@ -19,9 +19,8 @@ from typing import Any, Literal
 from motionkit.core.errors import MotionkitError
 
 GROUP, OWN = "motionkit.plugins", "motionkit"
-Kind = Literal[
-    "COMMANDS", "STAGES", "MODELS", "ENCODERS", "TEXT_ENCODERS", "FORMATS", "TABLES", "PLANS", "ABLATIONS", "ALL"
-]
+Training = Literal["ALL", "STAGES", "PLANS", "ABLATIONS", "RUNS"]
+Kind = Training | Literal["COMMANDS", "MODELS", "ENCODERS", "TEXT_ENCODERS", "FORMATS", "TABLES"]
 
 
 def names(kind: Kind) -> tuple[str, ...]:

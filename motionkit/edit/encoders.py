@@ -17,7 +17,7 @@ from motionkit.fields.anchoring import Anchored
 from motionkit.fields.interpolation import INTERPOLATORS, Settling
 from motionkit.fields.motion_field import MotionEncoder
 from motionkit.fields.transfer import Transferred
-from motionkit.training.run import Loader, RunFolder, Task, installed_loaders, loader_named
+from motionkit.training.run import Loader, RunFolder, Task, find_run, installed_loaders, loader_named
 
 
 def trained_encoder_names() -> tuple[str, ...]:
@@ -140,7 +140,6 @@ def _trained(name: str, run: str | None, runs: Path) -> ChosenEncoder:
             )
         place = trained[-1]
     else:
-        # A path if it exists, else a name in the folder of all runs, as everywhere.
-        place = Path(run) if Path(run).is_dir() and not (runs / run).is_dir() else runs / run
+        place = find_run(run, runs)
     encoder = loader.load(place)
     return ChosenEncoder(name, encoder, True, f"{encoder.name}, trained in {place}")

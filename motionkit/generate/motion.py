@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TypedDict, Unpack, overload
 
 from motionkit.core.errors import UsageError, shown
-from motionkit.core.files import default_path
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import Framerate, parse_fps
@@ -17,6 +16,7 @@ from motionkit.generate.constraints import Constraint
 from motionkit.generate.long_motions import Script, check_script, generate_scripts
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, model_of, warn_above_training
 from motionkit.generate.output import motion_name, plant_generated, sample_motion
+from motionkit.training.run import find_run
 
 Several = list[str] | tuple[str, ...]
 
@@ -162,43 +162,44 @@ class MotionModel:
         )
 
 
-def load_model(run: str | Path, name: str | None = None) -> MotionModel:
+def load_model(run: str | Path | None = None, name: str | None = None) -> MotionModel:
     """Load the generative model of a run, by `name` if it holds several.
 
-    A run is a folder, or its name in the folder of all runs. Raises `UsageError` for a missing run, and for one with
-    none or several of the installed models, `MotionkitError` for a damaged or incomplete one.
+    A run is a folder, its name in the folder of all runs, or the name of one that comes with motionkit (`cmu-small`);
+    the default is `nano`, or `cmu-small` where `nano` is not trained. Raises `UsageError` for a missing run, and for
+    one with none or several of the installed models, `MotionkitError` for a damaged or incomplete one.
 
     >>> mk.load_model("runs/nano").name
     'NeRM, local latents (ours)'
     """
-    path = Path(run)
-    if not path.is_dir():
-        path = default_path("runs") / path
-    if not path.is_dir():
-        raise UsageError(f"there is no run {str(run)!r}, neither as a folder nor in {default_path('runs')}")
+    path = find_run(run)
     return MotionModel(models.load_model(name or model_of(path), path), path)
 
 
 @overload
 def generate(
-    text: str | None = None, *, run: str | Path = "nano", n: None = None, **options: Unpack[Options]
+    text: str | None = None, *, run: str | Path | None = None, n: None = None, **options: Unpack[Options]
 ) -> Motion: ...
 
 
 @overload
 def generate(
-    text: str | None = None, *, run: str | Path = "nano", n: int, **options: Unpack[Options]
+    text: str | None = None, *, run: str | Path | None = None, n: int, **options: Unpack[Options]
 ) -> list[Motion]: ...
 
 
 @overload
 def generate(
-    text: Several, *, run: str | Path = "nano", n: int | None = None, **options: Unpack[Options]
+    text: Several, *, run: str | Path | None = None, n: int | None = None, **options: Unpack[Options]
 ) -> list[Motion]: ...
 
 
 def generate(
-    text: str | Several | None = None, *, run: str | Path = "nano", n: int | None = None, **options: Unpack[Options]
+    text: str | Several | None = None,
+    *,
+    run: str | Path | None = None,
+    n: int | None = None,
+    **options: Unpack[Options],
 ) -> Motion | list[Motion]:
     """Motions of the model of a run: `load_model(run).generate(…)`, which explains the options, for a single call.
 

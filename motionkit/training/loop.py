@@ -384,7 +384,7 @@ def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], description: M
 
 
 def load_tensors(path: Path, hint: str = HINT) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Read a file of `save_tensors`: tensors on the CPU, and the description.
+    """Read a file of `save_tensors`: tensors on the CPU, float16 as float32, and the description.
 
     Raises `CheckpointError` for a missing file, and `DamagedFileError`, with `hint`, for one that is not whole, or not
     what its folder's record of sha256 says.
@@ -397,7 +397,8 @@ def load_tensors(path: Path, hint: str = HINT) -> tuple[dict[str, torch.Tensor],
             description = json.loads((opened.metadata() or {}).get(DESCRIPTION, "{}"))
             if not isinstance(description, dict):
                 raise ValueError("the description in its header is no JSON object")
-            return {name: opened.get_tensor(name) for name in opened.keys()}, description  # noqa: SIM118
+            tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
+            return {name: t.float() if t.dtype == torch.float16 else t for name, t in tensors.items()}, description
     except (SafetensorError, ValueError, RecursionError) as error:
         raise DamagedFileError(path, one_line(error), hint) from None
 

@@ -23,6 +23,7 @@ from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError, 
 from motionkit.core.files import (
     LOCK,
     RECORD,
+    default_path,
     is_temporary,
     locked_folder,
     naming,
@@ -34,7 +35,7 @@ from motionkit.core.files import (
     write_record,
     write_whole,
 )
-from motionkit.core.progress import OnProgress, ignore
+from motionkit.core.progress import OnProgress, ignore, warn
 from motionkit.training.config import (
     ConfigLike,
     ConfigT,
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from motionkit.training.networks import Ranks
 
 
+DEFAULT_RUN = "nano"
 # A pattern. Without a hyphen first, as options have.
 STAGE_NAME = r"\w[\w-]*"
 SHOWN_LETTERS = 24
@@ -212,6 +214,24 @@ class RunFolder:
             stages = sorted(path.parent.name for path in self.path.glob("*/model.safetensors"))
         paths = {name: self.stage(name).model_path for name in stages}
         return {name: sha256_of(path) for name, path in paths.items() if path.is_file()}
+
+
+def find_run(name: str | Path | None, runs: Path | None = None) -> Path:
+    """The folder of a run: of this name in the folder of all runs, or a folder itself, or one that a package ships.
+
+    Without a name it is `nano`, or where there is none the first that is shipped, with a warning. The folder of an
+    unknown name does not exist. A package lists the run folders that it ships in `RUNS` (`motionkit.core.plugins`).
+    """
+    folder, shipped = runs or default_path("runs"), plugins.names("RUNS")
+    if name is None and shipped and not (folder / DEFAULT_RUN).is_dir():
+        warn(f"there is no run {folder / DEFAULT_RUN}: using {shipped[0]}, which comes with motionkit")
+        name = shipped[0]
+    place = folder / (name or DEFAULT_RUN)
+    if name is None or place.is_dir():
+        return place
+    if str(name) in shipped and not Path(name).is_dir():
+        return Path(plugins.load("RUNS", str(name)))
+    return Path(name) if Path(name).is_dir() else place
 
 
 # Tasks of motion encoders: frames between given ones; gaps and ends; reconstruction of windows.
@@ -423,6 +443,7 @@ class Stage(Generic[ConfigT]):
     parts are named after the stages: a change of another stage's part doesn't prevent `--resume`. Under torchrun every
     rank calls the `train` of a `shared` stage (`motionkit.training.networks`); others are trained by the first rank
     alone. `share` is its share of its system's time budget, relative to the system's other stages (`StagePlan`).
+    `packed` selects the tensors of its model that generation needs (`motionkit pack`).
     """
 
     name: str
@@ -433,6 +454,7 @@ class Stage(Generic[ConfigT]):
     shared: bool = False
     share: float = 1.0
     builds_on: Callable[[ConfigT], tuple[str, ...]] = lambda config: ()
+    packed: Callable[[dict[str, Any]], dict[str, Any]] = lambda tensors: tensors
 
     def __post_init__(self) -> None:
         if not re.fullmatch(STAGE_NAME, self.name):

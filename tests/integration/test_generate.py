@@ -13,11 +13,13 @@ from typer.testing import CliRunner
 import motionkit as mk
 from benchmarks.trust.scenarios import SETTINGS
 from motionkit.cli.app import build_app
+from motionkit.core.errors import UsageError
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
 from motionkit.generate.models import GenerationRequest, load_model
 from motionkit.store.writer import StoreWriter
 from motionkit.training.detail import load_detail
+from nerm.model import load_field
 from tests.helpers.analytic import analytic_motion, capture
 from tests.helpers.scripted_model import PosesAt, ScriptedModel
 
@@ -114,6 +116,28 @@ def test_a_path_and_a_pose_are_kept_to(trained: Path, tmp_path: Path) -> None:
     [alone] = model.generate([GenerationRequest(3.0, "a person walks")], seed=4)
     np.testing.assert_allclose(free.query(instants).joint_positions, alone.query(instants).joint_positions, atol=1e-4)
     assert np.linalg.norm(positions(fast)[::2] - positions(slow), axis=-1).mean() < 0.05
+
+
+def test_a_packed_run_generates_the_same_motions(trained: Path) -> None:
+    run, packed = trained / "runs" / "nano", trained / "runs" / "packed"
+    command("pack", "nano", str(packed), "--runs", str(trained / "runs"))
+    assert "the stages field, denoiser" in (packed / "README.md").read_text()
+    sizes = [sum(path.stat().st_size for path in each.rglob("model.safetensors")) for each in (run, packed)]
+    assert sizes[1] < 0.55 * sizes[0]
+    field = load_field(packed)
+    assert len(field.windows) == len(field.posterior_mean) == 1 and field.max_training_fps == 60
+    assert str(trained) not in "".join(path.read_text() for path in packed.rglob("config.json"))
+    for options in ({}, {"action": "walk"}):
+        motions = [mk.load_model(each).generate(seconds=2, n=3, plant=False, **options) for each in (run, packed)]
+        for whole, half in zip(*motions, strict=True):
+            apart = np.linalg.norm(whole.joint_positions - half.joint_positions, axis=-1)
+            assert 0 < apart.mean() < 0.001 and apart.max() < 0.005
+
+    refused = CliRunner().invoke(build_app(), ["pack", str(run), str(packed)])
+    assert isinstance(refused.exception, UsageError) and "--overwrite" in str(refused.exception)
+    (packed / "README.md").write_text("# A walker\n")
+    report = json.loads(command("pack", str(run), str(packed), "--overwrite", "--json"))
+    assert report["stages"] == ["field", "denoiser"] and (packed / "README.md").read_text() == "# A walker\n"
 
 
 def walking(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from motionkit.core.errors import UsageError
+from motionkit.core.errors import MissingExtraError, UsageError
 from motionkit.core.skeleton import SMPL22
 from motionkit.generate.models import GenerationRequest, SamplingOptions
 from motionkit.training.config import DiffusionConfig
@@ -127,3 +127,14 @@ def test_of_a_text_and_an_action_the_text_counts(encoder):
 def test_another_encoder_than_the_trained_one_is_refused(encoder):
     with pytest.raises(RunError, match="is not the one that the model was trained with"):
         known_model("cd" * 32).generate([GenerationRequest(1.0, text="a walk")], seed=0)
+
+
+def test_without_the_encoder_actions_work_and_texts_say_what_to_install(monkeypatch):
+    def missing(name):
+        raise MissingExtraError("letters", "text")
+
+    monkeypatch.setattr("motionkit.training.text.load_text_encoder", missing)
+    model = known_model(LetterEncoder.fingerprint)
+    assert len(model.generate([GenerationRequest(1.0, action="walk"), GenerationRequest(1.0)], seed=0)) == 2
+    with pytest.raises(UsageError, match=r"'letters'.*pip install.*an action, such as walk, needs none"):
+        model.generate([GenerationRequest(1.0, text="a walk")], seed=0)

@@ -28,7 +28,7 @@ def run_command(tmp_path, monkeypatch):
     def run(*arguments, model=None):
         monkeypatch.setattr(models, "model_of", lambda run: "drift")
         monkeypatch.setattr(models, "load_model", lambda name, run: model or DriftModel())
-        return CliRunner().invoke(app, list(arguments), catch_exceptions=False)
+        return CliRunner().invoke(app, ["--run", "drift", *arguments], catch_exceptions=False)
 
     return run
 

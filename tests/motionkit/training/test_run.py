@@ -10,11 +10,11 @@ import typer
 from typer.testing import CliRunner
 
 from motionkit.cli import train as train_module
-from motionkit.core.errors import BusyError, DamagedFileError, UsageError
+from motionkit.core.errors import BusyError, DamagedFileError, MotionkitWarning, UsageError
 from motionkit.core.files import remove_entry
 from motionkit.store import StoreWriter
 from motionkit.store.commit import read_manifest
-from motionkit.training.run import RunError, RunFolder, Stage, StageContext, choose_stages, commit
+from motionkit.training.run import RunError, RunFolder, Stage, StageContext, choose_stages, commit, find_run
 from tests.helpers.plugin_lists import install_only
 
 
@@ -243,3 +243,24 @@ def test_a_stage_is_not_trained_twice_at_once(folder, monkeypatch, option, stage
     assert len(refused) == 1
     _run("--stage", stage, "--overwrite")
     assert not list((folder / "runs").rglob(".*"))
+
+
+def test_a_run_is_of_the_folder_of_all_runs_or_a_folder_or_shipped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for folder in ("shipped/walks", "here", "runs/mine", "runs/here"):
+        (tmp_path / folder).mkdir(parents=True)
+    install_only(monkeypatch, RUNS={"walks": tmp_path / "shipped" / "walks"})
+    assert find_run("mine") == find_run("runs/mine") == Path("runs/mine")
+    assert find_run("here") == Path("runs/here")
+    assert find_run("here", tmp_path / "others") == Path("here")
+    assert find_run("walks") == tmp_path / "shipped" / "walks"
+    assert find_run("lost") == Path("runs/lost")
+    with pytest.warns(MotionkitWarning, match="using walks"):
+        assert find_run(None) == tmp_path / "shipped" / "walks"
+    (tmp_path / "runs" / "walks").mkdir()
+    (tmp_path / "runs" / "nano").mkdir()
+    assert find_run("walks") == Path("runs/walks") and find_run(None) == Path("runs/nano")
+    install_only(monkeypatch, RUNS={})
+    assert find_run(None, tmp_path / "others") == tmp_path / "others" / "nano"
