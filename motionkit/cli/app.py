@@ -19,10 +19,10 @@ SIGNALS = (signal.SIGTERM, signal.SIGINT)
 _received: list[int] = []
 # The panels of `motionkit --help`, in README's order; other packages' commands come after them.
 PANELS = {
-    "Without training": "view complete convert plant ingest info",
+    "Without training": "view complete convert generate plant ingest info",
     "The whole job": "demo",
-    "On your own captures": "split train generate eval report",
-    "How to": "samples study ablate export push pull",
+    "On your own captures": "split train eval report",
+    "How to": "samples study ablate export pack push pull",
     "A store's life": "query validate merge remove compact",
 }
 
