@@ -5,11 +5,9 @@ framerate of 30 fps. `foot_contacts` and other arrays that can be computed from 
 https://github.com/nv-tlabs/kimodo (skeleton/definitions.py).
 """
 
-import tomllib
 from dataclasses import replace
 from fractions import Fraction
 from functools import cache
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -18,28 +16,11 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22, Feet, Skeleton
-from motionkit.core.timegrid import TimeGrid
 from motionkit.io import joint_rotations, npy, source_file
 from motionkit.io.registry import Format, ReadOptions, of_path
 
 FPS = Fraction(30)
 JOINTS, ROTATIONS = "posed_joints", "global_rot_mats"
-# Chains of joints, the first of which is the parent of the second; * is Left and then Right.
-SPINE = ("Hips Spine1 Spine2 Chest Neck1 Neck2 Head",)
-FACE = ("Head Jaw", "Head LeftEye", "Head RightEye")
-ARM, LEG = ("Chest *Shoulder *Arm *ForeArm *Hand",), ("Hips *Leg *Shin *Foot *ToeBase",)
-STUMPS = ("*Hand *HandThumbEnd", "*Hand *HandMiddleEnd")
-FINGERS = (
-    "*Hand *HandThumb1 *HandThumb2 *HandThumb3 *HandThumbEnd",
-    "*Hand *HandIndex1 *HandIndex2 *HandIndex3 *HandIndex4 *HandIndexEnd",
-    "*Hand *HandMiddle1 *HandMiddle2 *HandMiddle3 *HandMiddle4 *HandMiddleEnd",
-    "*Hand *HandRing1 *HandRing2 *HandRing3 *HandRing4 *HandRingEnd",
-    "*Hand *HandPinky1 *HandPinky2 *HandPinky3 *HandPinky4 *HandPinkyEnd",
-)
-
-
-def _both(*limbs: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(chain.replace("*", side) for limb in limbs for side in ("Left", "Right") for chain in limb)
 
 
 def skeleton_of_chains(
@@ -67,19 +48,10 @@ def skeleton_of_chains(
     )
 
 
-# ARDY's Core skeleton: chains in the order of its joints, the right side first.
-CORE27 = skeleton_of_chains(
-    "ardy-core27",
-    (
-        "Hips Spine Spine1 Spine2 Spine3 Neck Head",
-        "Spine3 RightShoulder RightArm RightForeArm RightHand RightHandEnd",
-        "RightHand RightHandThumb1",
-        "Spine3 LeftShoulder LeftArm LeftForeArm LeftHand LeftHandEnd",
-        "LeftHand LeftHandThumb1",
-        "Hips RightUpLeg RightLeg RightFoot RightToeBase",
-        "Hips LeftUpLeg LeftLeg LeftFoot LeftToeBase",
-    ),
-)
+BODIES = {
+    name: skeleton_of_chains(name, tuple(chains))
+    for name, chains in source_file.shipped("io/bodies.toml")["chains"].items()
+}
 
 
 @cache
@@ -88,8 +60,7 @@ def g1() -> tuple[Skeleton, Float32[np.ndarray, "34 4"], Float32[np.ndarray, "34
 
     The table is motionkit/core/skeletons/g1.toml.
     """
-    file = resources.files("motionkit.core.skeletons") / "g1.toml"
-    table = tomllib.loads(file.read_text(encoding="utf-8"))
+    table = source_file.shipped("core/skeletons/g1.toml")
     limbs = (("leg", 1, "left_"), ("leg", -1, "right_"), ("waist", 1, ""), ("arm", 1, "left_"), ("arm", -1, "right_"))
     chains, rows = [], [[0.0, 0, 0, 1, 0, 0, 0, 0, 0, 0]]
     for limb, mirror, side in limbs:
@@ -104,17 +75,7 @@ def g1() -> tuple[Skeleton, Float32[np.ndarray, "34 4"], Float32[np.ndarray, "34
     return replace(skeleton, offsets=numbers[:, :3]), numbers[:, 3:7], numbers[:, 7:]
 
 
-SKELETONS = {
-    each.num_joints: each
-    for each in (
-        SMPL22,
-        skeleton_of_chains("somaskel30", (*SPINE, *FACE, *_both((*ARM, *STUMPS), LEG))),
-        g1()[0],
-        skeleton_of_chains(
-            "somaskel77", (*SPINE, "Head HeadEnd", *FACE, *_both((*ARM, *FINGERS), (*LEG, "*ToeBase *ToeEnd")))
-        ),
-    )
-}
+SKELETONS = {each.num_joints: each for each in (SMPL22, BODIES["somaskel30"], g1()[0], BODIES["somaskel77"])}
 
 
 def read_kimodo(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
@@ -133,13 +94,7 @@ def read_kimodo(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     fps = options.fps or FPS
     operations = source_file.replaced_fps(fps, FPS, who="Kimodo")
     body = replace(skeleton, offsets=positions[0] - positions[0, skeleton.parents_or_self])
-    motion = Motion(
-        positions,
-        body,
-        TimeGrid(fps, len(positions)),
-        sequence_id=path.stem,
-        provenance=source_file.provenance(path, data, "kimodo", operations),
-    )
+    motion = source_file.motion_of(path, data, "kimodo", body, fps, operations, positions=positions)
     if ROTATIONS not in archive:
         return motion
     matrices = archive.numbers(ROTATIONS, (*positions.shape[:2], 3, 3))

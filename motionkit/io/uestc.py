@@ -27,24 +27,9 @@ NUM_BETAS = 10
 NAME = re.compile(r"a(?P<action>\d{1,2})_d(?P<view>\d)_p(?P<subject>\d{1,3})_c(?P<side>\d)(_\w+)?", re.IGNORECASE)
 FRONT_SIDE = "1"
 MOVING_VIEW = 8
-TRAIN_SUBJECTS = frozenset(
-    (
-        *(1, 2, 6, 12, 13, 16, 21, 24, 28, 29, 30, 31, 33, 35, 39, 41, 42, 45, 47, 50, 52, 54, 55, 57, 59, 61, 63, 64),
-        *(67, 69, 70, 71, 73, 77, 81, 84, 86, 87, 88, 90, 91, 93, 96, 99, 102, 103, 104, 107, 108, 112, 113),
-    )
-)
+_TABLE = source_file.shipped("io/bodies.toml")["uestc"]
+TRAIN_SUBJECTS, ACTIONS = frozenset(_TABLE["train_subjects"]), tuple(_TABLE["actions"])
 NUM_SUBJECTS = 118
-ACTIONS = (
-    *("punching-and-knee-lifting", "marking-time-and-knee-lifting", "jumping-jack", "squatting", "forward-lunging"),
-    *("left-lunging", "left-stretching", "raising-hand-and-jumping", "left-kicking", "rotation-clapping"),
-    *("front-raising", "pulling-chest-expanders", "punching", "wrist-circling", "single-dumbbell-raising"),
-    *("shoulder-raising", "elbow-circling", "dumbbell-one-arm-shoulder-pressing", "arm-circling"),
-    *("dumbbell-shrugging", "pinching-back", "head-anticlockwise-circling", "shoulder-abduction"),
-    *("deltoid-muscle-stretching", "straight-forward-flexion", "spinal-stretching", "dumbbell-side-bend"),
-    *("standing-opposite-elbow-to-knee-crunch", "standing-rotation", "overhead-stretching", "upper-back-stretching"),
-    *("knee-to-chest", "knee-circling", "alternate-knee-lifting", "bent-over-twist", "rope-skipping"),
-    *("standing-toe-touches", "standing-gastrocnemius-calf", "single-leg-lateral-hopping", "high-knees-running"),
-)
 # The camera's y points down and its z away from it.
 FROM_CAMERA = turn_of("-y")
 

@@ -24,7 +24,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.io import body_frame, g1_csv, joint_rotations, joints_npy, npy, pose_vectors, source_file
-from motionkit.io.kimodo import CORE27, g1
+from motionkit.io.kimodo import BODIES, g1
 from motionkit.io.registry import Format, ReadOptions, of_path
 from motionkit.io.smpl_body import mean_shape_skeleton
 
@@ -64,7 +64,7 @@ LAYOUTS = (
     VectorLayout("flowmdm-135", 135, Fraction(30), up="z", rotations=3, form="rows", steps=1),
     VectorLayout("dart-276", 276, None, up="z", joints=144, rotations=3, form="rows"),
     VectorLayout("vimogen-276", 276, None, up="z", joints=126),
-    VectorLayout("ardy-330", 330, Fraction(20), CORE27, "y", 5, "floor", 83, "columns", is_global=True),
+    VectorLayout("ardy-330", 330, Fraction(20), BODIES["ardy-core27"], "y", 5, "floor", 83, "columns", is_global=True),
     VectorLayout("ardy-g1-414", 414, None, g1()[0], joints=5, relative_to="floor"),
     VectorLayout("g1-38", 38, Fraction(30), g1()[0], up="z", rotations=3, steps=0),
 )
