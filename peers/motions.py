@@ -129,7 +129,7 @@ class PoseSpace:
         return SMPL22_LAYOUT.vector
 
     def joints(self, rows: Rows) -> Float[Tensor, "batch frames joints 3"]:
-        """Joint positions in metres from standardised `native` vectors, as `native.positions` gives them."""
+        """Joint positions in metres from standardised `native` vectors, as `native.positions_at` gives them."""
         layout, numbers = self.layout, self.scaling.invert(rows)
         angle = self.heading(numbers)
         path = self.path(numbers[..., layout.root_velocity], angle)

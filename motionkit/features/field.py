@@ -52,17 +52,6 @@ def to_window(joint_positions: Positions, yaw: Yaw, origin: Origin) -> Float32[n
     return local
 
 
-def to_world(window_positions: Positions, yaw: Yaw, origin: Origin) -> Float32[np.ndarray, "windows poses joints 3"]:
-    """Positions in each window's frame → world positions, metres; the inverse of `to_window`."""
-    sine, cosine = np.sin(yaw)[:, None, None], np.cos(yaw)[:, None, None]
-    x, z = window_positions[..., 0], window_positions[..., 2]
-    world = np.empty(window_positions.shape, dtype=np.float32)
-    world[..., 0] = cosine * x + sine * z + origin[:, None, None, 0]
-    world[..., 1] = window_positions[..., 1]
-    world[..., 2] = cosine * z - sine * x + origin[:, None, None, 1]
-    return world
-
-
 def encode(joint_positions: Positions, yaw: Yaw, origin: Origin) -> Float32[np.ndarray, "windows poses numbers"]:
     """World positions in metres → `field` vectors in the frames of `window_frame`."""
     local = to_window(joint_positions, yaw, origin)

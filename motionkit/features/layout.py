@@ -52,13 +52,6 @@ class VectorLayout:
         return tuple(blocks)
 
 
-def vector_layout(num_joints: int) -> VectorLayout:
-    """Slices of the pose vector of a body with `num_joints` joints."""
-    from motionkit.io.humanml3d import vector_blocks  # deferred: `field` vectors need no slices
-
-    return VectorLayout(num_joints, *vector_blocks(num_joints))
-
-
 @dataclass(frozen=True, eq=False)
 class PoseLayout:
     """A joint layout for which pose vectors are defined.
@@ -79,7 +72,9 @@ class PoseLayout:
     @cached_property
     def vector(self) -> VectorLayout:
         """Slices of its pose vectors."""
-        return vector_layout(self.num_joints)
+        from motionkit.io.humanml3d import vector_blocks  # deferred: `field` vectors need no slices
+
+        return VectorLayout(self.num_joints, *vector_blocks(self.num_joints))
 
     @property
     def name(self) -> str:

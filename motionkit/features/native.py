@@ -16,7 +16,6 @@ import numpy as np
 from motionkit.core.motion import exchanged
 from motionkit.core.shapes import Float, Float32, Float64, Int
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.timegrid import TimeGrid
 from motionkit.features import field
 from motionkit.features.convention import Instants, InstantVectors, Origin, Values, Vectors, Weight, Yaw
 from motionkit.features.layout import (
@@ -98,21 +97,14 @@ def vectors(
     return result
 
 
-def positions(
-    vectors: Float[np.ndarray, "frames numbers"], layout: str, fps: Fraction
-) -> Float32[np.ndarray, "frames joints 3"]:
-    """Joint positions from pose vectors: frame 0's root is above the origin and its smoothed facing is Z+.
+def positions_at(
+    vectors: Float[np.ndarray, "times numbers"], layout: str, seconds: Float64[np.ndarray, "times"]
+) -> Float32[np.ndarray, "times joints 3"]:
+    """Joint positions from vectors at ascending times: the first root is above the origin, its smoothed facing Z+.
 
     Heading and root path are integrated over time by the trapezoidal rule. Raises `ValueError` for vectors whose length
     differs from the layout's.
     """
-    return positions_at(vectors, layout, TimeGrid(fps, len(vectors)).seconds())
-
-
-def positions_at(
-    vectors: Float[np.ndarray, "times numbers"], layout: str, seconds: Float64[np.ndarray, "times"]
-) -> Float32[np.ndarray, "times joints 3"]:
-    """`positions` for vectors at any ascending times in seconds; the first one's root is above the origin."""
     body = pose_layout(layout)
     slices = body.vector
     if vectors.shape[1] != slices.size:

@@ -196,13 +196,6 @@ def jitter(positions: Float32[np.ndarray, "frames joints 3"], fps: float) -> flo
     return float(np.sqrt(np.partition(jerk_squared, quarter)[quarter]) * BINS_PER_SECOND**3)
 
 
-def middle(values: Float[np.ndarray, "values"]) -> float:
-    """As `np.median` for finite values, without its import of `numpy.ma`."""
-    lower, upper = (len(values) - 1) // 2, len(values) // 2
-    parted = np.partition(values, (lower, upper))
-    return float((parted[lower] + parted[upper]) / 2)
-
-
 # Lengths and posture change slowly: 20 poses a second are enough. Shorter bones than this are points that lie on each
 # other.
 POSES_PER_SECOND = 20.0
@@ -268,8 +261,7 @@ def foot_skate(
     rows = _foot_rows(skeleton)
     if rows is None:
         return None
-    feet = np.stack([_weighted(positions, row) for row in rows], axis=1)
-    bins = bin_means(feet, fps)
+    bins = bin_means(np.matmul(rows, positions), fps)
     if len(bins) <= SLIDE_BINS:
         return None
     height = bins[..., 1]
@@ -282,33 +274,18 @@ def foot_skate(
     grounded = steadiest[np.isfinite(steadiest)]
     if len(grounded) < MIN_GROUNDED:
         return None
-    return middle(grounded), float(np.mean(grounded > SLIDING_SPEED))
-
-
-def _weighted(
-    positions: Float32[np.ndarray, "frames joints 3"], row: tuple[tuple[int, float], ...]
-) -> Float32[np.ndarray, "frames 3"]:
-    (first, weight), *others = row
-    total = positions[:, first] * np.float32(weight)
-    for joint, other in others:
-        total += positions[:, joint] * np.float32(other)
-    return total
+    return float(np.median(grounded)), float(np.mean(grounded > SLIDING_SPEED))
 
 
 @lru_cache(maxsize=1024)
-def _foot_rows(skeleton: Skeleton) -> tuple[tuple[tuple[int, float], ...], ...] | None:
-    # The foot joints that a skeleton has, as weighted sums of its own; made-up toes and unnamed tips are left out.
+def _foot_rows(skeleton: Skeleton) -> Float32[np.ndarray, "feet joints"] | None:
+    # The foot joints that a skeleton has, as weights of its own; made-up toes and unnamed tips are left out.
     try:
         mapping = joint_map(skeleton, SMPL22.name)
     except SkeletonMapError:
         return None
-    rows = []
-    for name in FOOT_JOINTS:
-        joint = SMPL22.index(name)
-        if name not in mapping.made_up and not mapping.tip_weights[joint].any():
-            used = np.flatnonzero(mapping.weights[joint])
-            rows.append(tuple((int(source), float(mapping.weights[joint, source])) for source in used))
-    return tuple(rows)
+    feet = [SMPL22.index(name) for name in FOOT_JOINTS if name not in mapping.made_up]
+    return np.asarray(mapping.weights[[foot for foot in feet if not mapping.tip_weights[foot].any()]], np.float32)
 
 
 # The framerate of the capture, if it is lower than the file's. Held frames are counted. Interpolation leaves
@@ -478,7 +455,7 @@ def without_trend(values: Float64[np.ndarray, "rows"], fps: float) -> Float64[np
 def _pulses(size: Float64[np.ndarray, "rows"], order: int, fps: float) -> list[tuple[float, float]]:
     # (share of the size that knots at the rate explain, rate) of the rates that stand out of the spectrum.
     rates, frequencies = _pulsing_rates(fps)
-    spread = 1.5 * middle(np.abs(size)) + 1e-9
+    spread = 1.5 * float(np.median(np.abs(size))) + 1e-9
     size = np.minimum(np.maximum(size, -4.0 * spread), 4.0 * spread)
     power = np.abs(np.fft.rfft(size * np.hanning(len(size)))) ** 2
     chosen = np.flatnonzero(_prominence(power, frequencies * len(size)) > MIN_PROMINENCE)

@@ -7,7 +7,7 @@ nothing else. `fit_detail` learns in closed form (ridge regression); `detailed` 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -17,11 +17,11 @@ from motionkit.core.kinematics import quaternion_between, quaternion_rotate, rot
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.fields.motion_field import (
+    DerivedField,
     MotionField,
     Poses,
     Times,
     at_fps,
-    check_times,
     query_in_blocks,
     turned_rotations,
 )
@@ -64,6 +64,7 @@ MOST_QUANTILE = 0.999
 LARGEST_DEVIATION = 4.0
 """Jumps of a capture are clipped at this many standard deviations."""
 MOTIONS_KEPT = 4
+Displacements = Callable[[], Float64[np.ndarray, "instants coordinates"]]
 _NO_LENGTH = 1e-9
 
 
@@ -185,13 +186,6 @@ def to_body(
     return np.stack((x * cosine + z * sine, y, z * cosine - x * sine), axis=-1)
 
 
-def to_world(
-    vectors: Float64[np.ndarray, "*before instants joints 3"], facing: Float64[np.ndarray, "instants 2"]
-) -> Float64[np.ndarray, "*before instants joints 3"]:
-    """Rotates vectors of the body's frame to the world's."""
-    return to_body(vectors, facing * (1.0, -1.0))
-
-
 def _inner(values: Float64[np.ndarray, "instants columns"], margin: int) -> Float64[np.ndarray, "inner columns"]:
     return values[margin : len(values) - margin]
 
@@ -202,8 +196,7 @@ class Detail:
 
     `centre` and `scale` standardise features; `weights` and `offset` give the log of power (m²) above a floor, of
     `NUM_BANDS` × 22 joints, clipped at `most`; `mixing` maps independent normals to correlated joint components
-    (across, up, ahead) of one band, each joint's squares adding up to 1. Raises `ValueError` for other shapes and
-    values that are not finite.
+    (across, up, ahead) of one band, each joint's squares adding up to 1.
     """
 
     centre: Float64[np.ndarray, "features"]
@@ -212,22 +205,6 @@ class Detail:
     offset: Float64[np.ndarray, "outputs"]
     most: Float64[np.ndarray, "outputs"]
     mixing: Float64[np.ndarray, "bands coordinates coordinates"]
-
-    def __post_init__(self) -> None:
-        outputs, coordinates = NUM_BANDS * NUM_JOINTS, 3 * NUM_JOINTS
-        shapes = {
-            "centre": (NUM_FEATURES,),
-            "scale": (NUM_FEATURES,),
-            "weights": (NUM_FEATURES, outputs),
-            "offset": (outputs,),
-            "most": (outputs,),
-            "mixing": (NUM_BANDS, coordinates, coordinates),
-        }
-        for name, values in self.arrays().items():
-            if values.shape != shapes[name]:
-                raise ValueError(f"{name} is {values.shape}, expected {shapes[name]}")
-            if not np.isfinite(values).all():
-                raise ValueError(f"{name} holds a number that is not finite")
 
     def arrays(self) -> dict[str, npt.NDArray[np.float64]]:
         """All parameters by name."""
@@ -342,95 +319,63 @@ def _mixing(
     return np.asarray(np.linalg.cholesky(correlation + 1e-6 * np.eye(correlation.shape[1])))
 
 
-@dataclass(frozen=True, eq=False)
-class Displacements:
-    """Joint displacements on the grid, k / 120 s after the field's start; a function of field, detail and seeds."""
-
-    field: MotionField
-    detail: Detail
-    seeds: tuple[int, int]
-
-    def compute(self) -> Float64[np.ndarray, "instants coordinates"]:
-        """Displacements at all samples inside the field's domain, metres."""
-        count = int(np.floor((self.field.end_seconds - self.field.start_seconds) * GRID_FPS + 1e-6)) + 1
-        times = self.field.start_seconds + np.arange(count) / GRID_FPS
-        positions = with_ends(self.field.query(np.minimum(times, self.field.end_seconds)).joint_positions)
-        slow = slow_motion(positions)
-        # Power that the motion already has in a band is not added again.
-        strength = np.sqrt(np.maximum(self.detail.power(slow) - band_power(positions), 0.0))
-        in_body = np.einsum("tbj,btjx->tjx", strength, self.detail.noise(self.seeds, count))
-        return to_world(in_body, slow.facing).reshape(count, -1)
+def displacements(
+    field: MotionField, detail: Detail, seeds: tuple[int, int]
+) -> Float64[np.ndarray, "instants coordinates"]:
+    """Joint displacements in metres at the samples of the grid inside the field's domain, from its start on."""
+    count = int(np.floor((field.end_seconds - field.start_seconds) * GRID_FPS + 1e-6)) + 1
+    times = field.start_seconds + np.arange(count) / GRID_FPS
+    positions = with_ends(field.query(np.minimum(times, field.end_seconds)).joint_positions)
+    slow = slow_motion(positions)
+    # Power that the motion already has in a band is not added again.
+    strength = np.sqrt(np.maximum(detail.power(slow) - band_power(positions), 0.0))
+    in_body = np.einsum("tbj,btjx->tjx", strength, detail.noise(seeds, count))
+    return to_body(in_body, slow.facing * (1.0, -1.0)).reshape(count, -1)  # and back
 
 
 @lru_cache(MOTIONS_KEPT)
-def _computed(displacements: Displacements) -> Float64[np.ndarray, "instants coordinates"]:
+def _computed(on_grid: Displacements) -> Float64[np.ndarray, "instants coordinates"]:
     """The displacements of the last motions: thousands of detailed fields may be alive at once."""
-    return displacements.compute()
+    return on_grid()
 
 
-@dataclass(frozen=True, eq=False)
-class DetailedField:
-    """Wraps a `MotionField`: its poses with added motion above 10 Hz, as strong as in captures of similar motion.
+def detailed(field: MotionField, detail: Detail, *, seed: int, number: int = 0) -> DerivedField:
+    """A field with added motion above 10 Hz, as strong as in captures of similar motion: motion `number` of a seed.
 
     The power is predicted from the slow motion around each sample, per joint and band; the signal is random, given
-    the seed. It is one function of time for all framerates: a 120 Hz grid, interpolated by windowed sincs. `at_fps`
-    low-passes it below half the framerate with the kernels of `resample_positions`, so 30 fps is 60 fps filtered.
-    Without a framerate, and above 120 fps, it is limited to 60 Hz. Bones keep their length.
-    """
-
-    field: MotionField
-    displacements: Displacements
-    fps: Fraction | None = None
-
-    @property
-    def skeleton(self) -> Skeleton:
-        """Same as the wrapped field's."""
-        return self.field.skeleton
-
-    @property
-    def start_seconds(self) -> float:
-        """Same as the wrapped field's."""
-        return self.field.start_seconds
-
-    @property
-    def end_seconds(self) -> float:
-        """Same as the wrapped field's."""
-        return self.field.end_seconds
-
-    def at_fps(self, fps: Fraction) -> "DetailedField":
-        """The same motion for this framerate, without frequencies above its Nyquist frequency."""
-        return replace(self, field=at_fps(self.field, fps), fps=fps)
-
-    def query(self, times_seconds: Times) -> Poses:
-        """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
-        check_times(self, times_seconds)
-        if self.fps is not None and self.fps <= 2 * EDGES_HZ[0]:
-            return self.field.query(times_seconds)
-        return query_in_blocks(
-            lambda times: displaced(self.field.query(times), self.steps(times), self.skeleton), times_seconds
-        )
-
-    def steps(self, times_seconds: Times) -> Float64[np.ndarray, "times joints 3"]:
-        """Joint displacements before projection onto bones, metres."""
-        reach, cutoff = kernel_shape(max(Fraction(1), Fraction(GRID_FPS) / (self.fps or GRID_FPS)))
-        # Nothing is added beyond both ends.
-        grid = np.pad(_computed(self.displacements), ((reach, reach + 1), (0, 0)))
-        place = (times_seconds - self.start_seconds) * GRID_FPS
-        nearest = np.round(place).astype(np.int64)
-        weights = kernel_matrix(nearest + reach, np.round(place - nearest, 9), len(grid), reach, cutoff)
-        return np.asarray(weights @ grid).reshape(len(times_seconds), NUM_JOINTS, 3)
-
-
-def detailed(field: MotionField, detail: Detail, *, seed: int, number: int = 0) -> DetailedField:
-    """A field with detail: motion `number` of a seed.
-
-    Raises `UsageError` for skeletons other than the 22 joints.
+    the seed. It is one function of time for all framerates: a 120 Hz grid, interpolated by windowed sincs. At a
+    framerate it is low-passed below half of that with the kernels of `resample_positions`, so 30 fps is 60 fps
+    filtered. Without a framerate, and above 120 fps, it is limited to 60 Hz. Bones keep their length. Raises
+    `UsageError` for skeletons other than the 22 joints.
     """
     if field.skeleton.joint_names != SMPL22.joint_names:
         raise UsageError(
             f"detail is known for the joints of {SMPL22.name}, the motion has those of {field.skeleton.name!r}"
         )
-    return DetailedField(field, Displacements(field, detail, (seed, number)))
+    return _detailed(field, partial(displacements, field, detail, (seed, number)), None)
+
+
+def _detailed(field: MotionField, on_grid: Displacements, fps: Fraction | None) -> DerivedField:
+    def poses(times: Times) -> Poses:
+        added = steps(_computed(on_grid), times - field.start_seconds, fps)
+        return displaced(field.query(times), added, field.skeleton)
+
+    is_slow = fps is not None and fps <= 2 * EDGES_HZ[0]
+    query = field.query if is_slow else partial(query_in_blocks, poses)
+    return DerivedField(field, query, lambda fps: _detailed(at_fps(field, fps), on_grid, fps))
+
+
+def steps(
+    on_grid: Float64[np.ndarray, "instants coordinates"], seconds: Times, fps: Fraction | None
+) -> Float64[np.ndarray, "times joints 3"]:
+    """Joint displacements in metres, before projection onto bones, at seconds from the grid's start."""
+    reach, cutoff = kernel_shape(max(Fraction(1), Fraction(GRID_FPS) / (fps or GRID_FPS)))
+    # Nothing is added beyond both ends.
+    grid = np.pad(on_grid, ((reach, reach + 1), (0, 0)))
+    place = seconds * GRID_FPS
+    nearest = np.round(place).astype(np.int64)
+    weights = kernel_matrix(nearest + reach, np.round(place - nearest, 9), len(grid), reach, cutoff)
+    return np.asarray(weights @ grid).reshape(len(seconds), NUM_JOINTS, 3)
 
 
 def displaced(poses: Poses, steps: Float64[np.ndarray, "times joints 3"], skeleton: Skeleton) -> Poses:

@@ -59,16 +59,14 @@ _TRAVELLING_METRES = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A piecewise polynomial on [first_seconds, last_seconds], and its end velocities beyond."""
+    """A piecewise polynomial between its first and last knot, and its end velocities beyond."""
 
     polynomial: "PPoly"
-    first_seconds: float
-    last_seconds: float
 
     def __call__(self, times_seconds: Times) -> Float64[np.ndarray, "times *rest"]:
         """Values at any times, in any order."""
         values = self.clamped(times_seconds)
-        ends = np.clip(times_seconds, self.first_seconds, self.last_seconds)
+        ends = np.clip(times_seconds, *self.polynomial.x[[0, -1]])
         outside = np.flatnonzero(ends != times_seconds)
         if outside.size:
             beyond = (times_seconds - ends)[outside].reshape(-1, *(1,) * (values.ndim - 1))
@@ -77,7 +75,7 @@ class Curve:
 
     def clamped(self, times_seconds: Times) -> Float64[np.ndarray, "times *rest"]:
         """Values at any times, the end values beyond both ends."""
-        return np.asarray(self.polynomial(np.clip(times_seconds, self.first_seconds, self.last_seconds)))
+        return np.asarray(self.polynomial(np.clip(times_seconds, *self.polynomial.x[[0, -1]])))
 
 
 def curve(kind: CurveKind, times_seconds: Knots, values: Float[np.ndarray, "frames *rest"]) -> Curve:
@@ -94,7 +92,7 @@ def curve(kind: CurveKind, times_seconds: Knots, values: Float[np.ndarray, "fram
         polynomial = CubicHermiteSpline(times, values, knot_rates(times, np.diff(values, axis=0)))
     else:
         polynomial = CubicSpline(times, values)
-    return Curve(polynomial, float(times[0]), float(times[-1]))
+    return Curve(polynomial)
 
 
 def inner_rates(gaps: Any, slopes: Any) -> Any:

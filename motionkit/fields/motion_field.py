@@ -55,12 +55,6 @@ class Poses:
             None if translation is None else translation[rows],
         )
 
-    def is_like(self, other: "Poses") -> bool:
-        """Whether both or neither have rotations, and both or neither a root translation."""
-        return (self.local_rotations is None) == (other.local_rotations is None) and (
-            self.root_translation is None
-        ) == (other.root_translation is None)
-
     def room_for(self, count: int) -> "Poses":
         """Uninitialised poses with the same fields, `count` of them, to be filled with `put`."""
         return Poses(
@@ -119,23 +113,19 @@ class Observation:
             )
         if not len(self.times_seconds):
             raise ValueError("nothing is observed: a motion field needs at least one pose")
-        if not np.isfinite(self.times_seconds).all():
-            raise ValueError(f"time {int(np.argmin(np.isfinite(self.times_seconds)))} is not a finite number")
-        late = np.diff(self.times_seconds) <= 0
+        late = ~(np.diff(self.times_seconds, prepend=-np.inf) > 0) | ~np.isfinite(self.times_seconds)
         if late.any():
             row = int(np.argmax(late))
-            before, after = self.times_seconds[row : row + 2]
             raise ValueError(
-                f"times must increase, but {after:.6f} s (row {row + 1}) follows {before:.6f} s: sort them and keep "
-                "one pose of each instant"
+                f"times must be finite and increase, unlike {self.times_seconds[row]:.6f} s (row {row}): sort them and "
+                "keep one pose of each instant"
             )
-        for name in ("joint_positions", "local_rotations", "root_translation"):
-            numbers = getattr(self.poses, name)
+        for numbers in (self.poses.joint_positions, self.poses.local_rotations, self.poses.root_translation):
             if numbers is not None and not np.isfinite(numbers).all():
                 row = int(np.argmin(np.isfinite(numbers).reshape(len(self), -1).all(axis=1)))
                 raise ValueError(
-                    f"{name} of pose {row} ({self.times_seconds[row]:.4f} s) hold a number that is not finite: leave "
-                    "out poses that were not captured, the field fills the gap"
+                    f"pose {row} ({self.times_seconds[row]:.4f} s) holds a number that is not finite: leave out poses "
+                    "that were not captured, the field fills the gap"
                 )
 
     @classmethod
@@ -402,32 +392,17 @@ def turned_rotations(
 ) -> Float32[np.ndarray, "times joints 4"]:
     """Local rotations of joints that `turned` in the world, and of their children that did not."""
     result = rotations.copy()
-    old: dict[int, Float64[np.ndarray, "times 4"]] = {}
+    world = kinematics.global_rotations(rotations.astype(np.float64), skeleton)
     for joint, parent in enumerate(skeleton.parents):
         if joint not in turned and parent not in turned:
             continue
-        local = _world(old, joint, rotations, skeleton)
+        local = world[:, joint]
         if joint in turned:
             local = kinematics.quaternion_multiply(turned[joint], local)
         if parent >= 0:
-            above = _world(old, parent, rotations, skeleton)
+            above = world[:, parent]
             if parent in turned:
                 above = kinematics.quaternion_multiply(turned[parent], above)
             local = kinematics.quaternion_multiply(kinematics.quaternion_conjugate(above), local)
         result[:, joint] = local / np.linalg.norm(local, axis=-1, keepdims=True)
     return result
-
-
-def _world(
-    known: dict[int, Float64[np.ndarray, "times 4"]],
-    joint: int,
-    rotations: Float32[np.ndarray, "times joints 4"],
-    skeleton: Skeleton,
-) -> Float64[np.ndarray, "times 4"]:
-    """A joint's world rotation, cached; only few are needed of a whole body."""
-    if joint not in known:
-        own, parent = rotations[:, joint].astype(np.float64), skeleton.parents[joint]
-        if parent >= 0:
-            own = kinematics.quaternion_multiply(_world(known, parent, rotations, skeleton), own)
-        known[joint] = own
-    return known[joint]

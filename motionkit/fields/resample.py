@@ -13,7 +13,7 @@ import numpy as np
 
 from motionkit.core.kinematics import continuous_quaternions
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Bool, Float, Float64, Int, Int64
+from motionkit.core.shapes import Float, Float64, Int, Int64
 from motionkit.core.timegrid import SAME_SECONDS, Framerate, TimeGrid, num_frames_within, parse_fps
 from motionkit.fields.interpolation import INTERPOLATORS, Method, interpolator_of
 from motionkit.fields.motion_field import (
@@ -43,36 +43,10 @@ def upsample(motion: Motion, fps: Fraction, encoder: MotionEncoder = SLERP) -> M
         raise ValueError(f"{fps} fps is less than the motion's {motion.fps}: use resample, which filters first")
     if fps == motion.fps:
         return motion
-    return complete(motion, encoder, fps=fps).logged(f"upsample {motion.fps} -> {fps} fps ({encoder.name})")
-
-
-def complete(
-    motion: Motion,
-    encoder: MotionEncoder,
-    *,
-    fps: Fraction | None = None,
-    observed: Bool[np.ndarray, "frames"] | None = None,
-    before_seconds: float = 0.0,
-    after_seconds: float = 0.0,
-) -> Motion:
-    """A motion at any framerate from its `observed` frames (default: all), optionally extended at both ends.
-
-    Observed frames that fall on the new grid are the given ones to the last bit (quaternions up to their sign, which
-    follows their neighbours). An encoder that misses them leaves a jump there; `motionkit.fields.anchoring` removes
-    it. The grid starts at the motion's first frame, or by whole frames earlier. Beyond both ends `hold` stands still
-    (the zero-velocity row of tables), other interpolators go on at constant velocity. Raises `ValueError` for negative
-    seconds or if no frame is observed.
-    """
     start = motion.timegrid.start_seconds
-    completion = begin_completion(
-        Observation.of(motion, observed),
-        (start, start + motion.timegrid.span_seconds),
-        encoder,
-        motion.fps if fps is None else fps,
-        before_seconds=before_seconds,
-        after_seconds=after_seconds,
-    )
-    return completion.motion().annotated_like(motion)
+    span = (start, start + motion.timegrid.span_seconds)
+    upsampled = begin_completion(Observation.of(motion), span, encoder, fps).motion()
+    return upsampled.annotated_like(motion).logged(f"upsample {motion.fps} -> {fps} fps ({encoder.name})")
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +76,14 @@ def begin_completion(
     before_seconds: float = 0.0,
     after_seconds: float = 0.0,
 ) -> Completion:
-    """Like `complete`, for frames at even or uneven times, before they are sampled; raises what `complete` raises.
+    """A motion at any framerate from its observed frames, at even or uneven times, before it is sampled.
 
-    `span` are the times of the first and the last frame of the motion, observed or not. A given frame is on the new
-    grid if it is within a microsecond of one of its frames.
+    `span` are the times of the first and the last frame of the motion, observed or not. Observed frames that fall on
+    the new grid, within a microsecond, are the given ones to the last bit (quaternions up to their sign, which follows
+    their neighbours). An encoder that misses them leaves a jump there; `motionkit.fields.anchoring` removes it. The
+    grid starts at the motion's first frame, or by whole frames earlier. Beyond both ends `hold` stands still (the
+    zero-velocity row of tables), other interpolators go on at constant velocity. Raises `ValueError` for negative
+    seconds.
     """
     if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
         raise ValueError(f"seconds to extend by must be 0 or more, not {before_seconds:g} and {after_seconds:g}")

@@ -8,7 +8,7 @@ local rotations; where the model agrees with the interpolator, nothing changes.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -60,50 +60,40 @@ class Transferred:
         canonical = canonical_observation(observation)
         moving, above = Rig.of(own).moving, own.skeleton.path_to_root(counterparts[PELVIS])
         reach = {"before_seconds": before_seconds, "after_seconds": after_seconds}
-        return _Correction(
-            own=self.interpolator.encode(own, **reach),
-            model=self.encoder.encode(canonical, **reach),
-            base=self.interpolator.encode(canonical, **reach),
+        return _corrected(
+            own_field=self.interpolator.encode(own, **reach),
+            model_field=self.encoder.encode(canonical, **reach),
+            base_field=self.interpolator.encode(canonical, **reach),
             counterparts=counterparts,
             # The joint nearest the pelvis whose bone is not rigid, else the root.
             moved_joint=next((joint for joint in above if joint in moving), 0),
             like=observation.poses.rows(slice(0, 0)),
-        ).field()
+        )
 
 
-@dataclass(frozen=True, eq=False)
-class _Correction:
-    """Corrects the source skeleton's interpolated poses by the difference of `model` and `base` in 22 joints.
+def _corrected(
+    own_field: MotionField,
+    model_field: MotionField,
+    base_field: MotionField,
+    counterparts: Mapping[int, int],
+    moved_joint: int,
+    like: Poses,
+) -> DerivedField:
+    """The source skeleton's interpolated field, corrected by the difference of `model` and `base` in 22 joints.
 
     `counterparts` maps joints of the 22 to source ones; `moved_joint` is the source joint that carries the body's path.
     `like` is an observation without poses, the template of the output.
     """
 
-    own: MotionField
-    model: MotionField
-    base: MotionField
-    counterparts: Mapping[int, int]
-    moved_joint: int
-    like: Poses
-
-    def field(self) -> DerivedField:
-        """The corrected field; at another framerate the model is sampled at that."""
-        return DerivedField(
-            self.own,
-            lambda times: query_in_blocks(self.poses, times),
-            lambda fps: replace(self, model=at_fps(self.model, fps)).field(),
-        )
-
-    def poses(self, times: Times) -> Poses:
-        """The corrected poses at some times."""
-        own, model, base = (field.query(times) for field in (self.own, self.model, self.base))
-        skeleton = self.own.skeleton
+    def poses(times: Times) -> Poses:
+        own, model, base = (field.query(times) for field in (own_field, model_field, base_field))
+        skeleton = own_field.skeleton
         joints = Joints.of(own, skeleton)
-        turns = quaternion_multiply(_world(model, self.model.skeleton), quaternion_conjugate(_world(base, SMPL22)))
+        turns = quaternion_multiply(_world(model, model_field.skeleton), quaternion_conjugate(_world(base, SMPL22)))
         before = global_rotations(joints.rotations, skeleton)
         after = before.copy()
         local = joints.rotations.copy()
-        canonical_of = {own_joint: joint for joint, own_joint in self.counterparts.items()}
+        canonical_of = {own_joint: joint for joint, own_joint in counterparts.items()}
         for joint, parent in enumerate(skeleton.parents):
             if joint in canonical_of:
                 after[:, joint] = quaternion_multiply(turns[:, canonical_of[joint]], before[:, joint])
@@ -115,17 +105,24 @@ class _Correction:
                 local[:, joint] = after[:, joint]
         local /= np.linalg.norm(local, axis=-1, keepdims=True)
         turned = Joints(local, joints.bones, joints.root).positions(skeleton)
-        pelvis = self.counterparts[PELVIS]
+        pelvis = counterparts[PELVIS]
         target = own.joint_positions[:, pelvis] + (model.joint_positions - base.joint_positions)[:, PELVIS]
         move = (target - turned[:, pelvis])[:, None]
-        carried = np.isin(np.arange(skeleton.num_joints), skeleton.subtree(self.moved_joint))
+        carried = np.isin(np.arange(skeleton.num_joints), skeleton.subtree(moved_joint))
         positions = turned + np.where(carried[:, None], move, np.float32(0.0))
         translation = None
-        if self.like.root_translation is not None:
+        if like.root_translation is not None:
             assert own.root_translation is not None
             translation = own.root_translation + positions[:, 0] - own.joint_positions[:, 0]
-        rotations = None if self.like.local_rotations is None else local.astype(np.float32)
+        rotations = None if like.local_rotations is None else local.astype(np.float32)
         return Poses(positions.astype(np.float32), rotations, translation)
+
+    # At another framerate the model is sampled at that.
+    return DerivedField(
+        own_field,
+        lambda times: query_in_blocks(poses, times),
+        lambda fps: _corrected(own_field, at_fps(model_field, fps), base_field, counterparts, moved_joint, like),
+    )
 
 
 def canonical_observation(observation: Observation) -> Observation:

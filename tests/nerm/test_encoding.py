@@ -12,10 +12,10 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
 from motionkit.features.field import FIELD_VECTORS
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, to_motion
-from motionkit.fields.resample import complete
 from nerm.encoding import NermEncoder, encode_by_optimisation, minimise_each
 from nerm.field_training import FieldTraining
 from nerm.model import TrainedField
+from tests.helpers.completing import complete
 from tests.helpers.nerm_corpus import analytic_positions, analytic_source
 from tests.helpers.velocities import joint_velocities, observed_errors
 from tests.nerm.small_fields import SMALL, error_mm, finished, losses_of, small_poses

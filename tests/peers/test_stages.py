@@ -18,7 +18,7 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.edit.encoders import encoder_loader
 from motionkit.features import native
 from motionkit.fields.motion_field import Observation
-from motionkit.fields.resample import complete, upsample
+from motionkit.fields.resample import upsample
 from motionkit.generate.models import GenerationRequest, GenerativeModel, SamplingOptions, load_model
 from motionkit.store.reader import Store
 from motionkit.training import loop
@@ -26,6 +26,7 @@ from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
 from motionkit.training.run import RunError, RunFolder, StageContext
 from peers.motions import MotionCorpus, open_corpus
+from tests.helpers.completing import complete
 from tests.helpers.nerm_corpus import analytic_positions
 from tests.helpers.tiny_peers import STAGES, tiny_config, train_peer, write_captioned_store
 from tests.helpers.tiny_temporal import SYSTEMS, TEMPORAL_PEERS

@@ -111,20 +111,6 @@ class Correction:
         )
 
 
-def find_correction(
-    paths: FootPaths, start_seconds: float, fps: float, path: Path, predicted: EndMask | None = None
-) -> Correction:
-    """The correction of a motion whose ankles and toes have these paths.
-
-    Contacts are the `predicted` ones, else they are detected. A motion of fewer than four samples is not corrected.
-    """
-    ground = ground_of(paths, fps)
-    if len(paths) < FEWEST_INSTANTS:
-        return Correction(start_seconds, fps, ground, Contacts.none(len(paths)), np.zeros((len(paths), 3, 3)))
-    contacts = find_contacts(paths, fps, ground, predicted, CAPTURED if path == "near" else GENERATED)
-    return Correction(start_seconds, fps, ground, contacts, offsets_of(paths, contacts, ground, fps, path))
-
-
 def offsets_of(
     paths: FootPaths, contacts: Contacts, ground: Ground, fps: float, path: Path
 ) -> Float64[np.ndarray, "instants 3 3"]:
@@ -350,7 +336,12 @@ def _planting(field: MotionField, poses: Poses, fps: float, path: Path, predicte
         if bones is not None:
             positions = bones.applied(positions, legs.feet)
     paths = legs.foot_paths(positions).astype(np.float64)
-    return Planting(field, legs, bones, find_correction(paths, field.start_seconds, fps, path, predicted))
+    ground, contacts = ground_of(paths, fps), Contacts.none(len(paths))
+    offsets = np.zeros((len(paths), KINDS, 3))
+    if len(paths) >= FEWEST_INSTANTS:
+        contacts = find_contacts(paths, fps, ground, predicted, CAPTURED if path == "near" else GENERATED)
+        offsets = offsets_of(paths, contacts, ground, fps, path)
+    return Planting(field, legs, bones, Correction(field.start_seconds, fps, ground, contacts, offsets))
 
 
 def with_offsets(poses: Poses, offsets: Float64[np.ndarray, "times 3 3"], legs: Legs, skeleton: Skeleton) -> Poses:

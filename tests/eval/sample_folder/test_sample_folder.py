@@ -12,7 +12,7 @@ from eval.sample_folder.arrays import read_stored, split_motions
 from eval.sample_folder.reading import read_manifest
 from motionkit.core.errors import FormatError
 from motionkit.core.moments import moments
-from motionkit.features.layout import vector_layout
+from motionkit.features.layout import SMPL22_LAYOUT
 from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers import published_layouts as published
 from tests.helpers.vector_samples import dart_rows, hymotion_rows, walk
@@ -246,7 +246,7 @@ def vectors_in(folder: Path, of: str, restore_with: str, manifest: str = NORMALI
     rows = published.vectors()
     found = moments(np.concatenate(rows))
     std = found.std
-    for block in vector_layout(22).blocks:
+    for block in SMPL22_LAYOUT.vector.blocks:
         std[block] = std[block].mean()
     evaluator = std.copy()
     evaluator[:4] /= 25

@@ -94,10 +94,10 @@ class TestNative:
         some = np.sort(np.random.default_rng(1).choice(np.arange(1, len(vectors)), 300, replace=False))
         some = np.concatenate(([0], some))
         uneven = native.positions_at(vectors[some], "smpl22", some / 240)
-        even = native.positions(vectors, "smpl22", motion.fps)
+        even = native.positions_at(vectors, "smpl22", motion.timegrid.seconds())
         # Gaps of up to a tenth of a second cost millimetres; taking them for equal ones would cost decimetres.
         np.testing.assert_allclose(uneven, even[some], atol=8e-3)
-        equal = native.positions(vectors[some], "smpl22", Fraction(300, 4))
+        equal = native.positions_at(vectors[some], "smpl22", np.arange(len(vectors[some])) / 75)
         assert np.abs(equal - even[some]).max() > 0.05
 
 

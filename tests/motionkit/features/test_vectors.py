@@ -69,7 +69,7 @@ def test_velocities_are_the_formula_s_derivative() -> None:
 @pytest.mark.parametrize("fps", [20, 120])
 def test_positions_come_back_up_to_place_and_facing(name: str, fps: int) -> None:
     joints = analytic_motion(Fraction(fps), name)
-    found = native.positions(native.vectors(joints, name, Fraction(fps)), name, Fraction(fps))
+    found = native.positions_at(native.vectors(joints, name, Fraction(fps)), name, np.arange(len(joints)) / fps)
     assert np.allclose(found[0, 0, [0, 2]], 0)
     # A rigid motion of the horizontal plane between the two, found from the first pose.
     flat, target = (p[..., 0] + 1j * p[..., 2] for p in (found, joints))
@@ -121,11 +121,10 @@ def turned(positions: np.ndarray, yaw: float, shift: tuple[float, float]) -> np.
 
 
 @given(windows)
-def test_round_trip_through_the_window_and_the_world(positions: np.ndarray) -> None:
+def test_round_trip_through_the_window(positions: np.ndarray) -> None:
     yaw, origin = field.window_frame(positions[:, 0])
     local = field.decode(field.encode(positions, yaw, origin))
     assert np.allclose(local, field.to_window(positions, yaw, origin), atol=1e-5)
-    assert np.allclose(field.to_world(local, yaw, origin), positions, atol=1e-5)
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(-7, 7), st.tuples(st.floats(-3, 3), st.floats(-3, 3)))

@@ -12,7 +12,8 @@ from motionkit.core.timegrid import TimeGrid
 from motionkit.fields.anchoring import Anchored
 from motionkit.fields.interpolation import INTERPOLATORS, InterpolatedField, Method, interpolate
 from motionkit.fields.motion_field import MotionEncoder, Observation, to_motion
-from motionkit.fields.resample import complete, upsample
+from motionkit.fields.resample import upsample
+from tests.helpers.completing import complete
 from tests.helpers.turning_body import random_motion
 from tests.helpers.velocities import observed_errors
 

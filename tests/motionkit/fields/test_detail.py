@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import motionkit as mk
 from motionkit.core.kinematics import forward_kinematics
-from motionkit.fields.detail import NUM_BANDS, Detail, DetailedField, band_power, detailed, fit_detail, with_ends
+from motionkit.fields.detail import NUM_BANDS, Detail, band_power, detailed, displacements, fit_detail, steps, with_ends
 from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
 from motionkit.fields.resample import resample_positions
@@ -39,16 +39,14 @@ def smooth() -> mk.Motion:
     return replace(motion, local_rotations=None, root_translation=None)
 
 
-def field_of(motion: mk.Motion, detail: Detail, number: int = 0) -> DetailedField:
-    return detailed(
-        interpolate(motion, "slerp" if motion.local_rotations is not None else "cubic"), detail, seed=3, number=number
-    )
+def on_grid(motion: mk.Motion, detail: Detail) -> np.ndarray:
+    return displacements(interpolate(motion, "cubic"), detail, (3, 0))
 
 
 def test_detail_is_as_strong_as_captures_are_in_such_moments(learnt: Detail, smooth: mk.Motion) -> None:
-    steps = field_of(smooth, learnt).displacements.compute().reshape(-1, 22, 3)
+    added = on_grid(smooth, learnt).reshape(-1, 22, 3)
     speed = np.linalg.norm(np.gradient(smooth.joint_positions[:, FOOT], 1 / 120, axis=0), axis=-1)
-    fast, still = (np.sqrt(np.square(steps[mask, FOOT]).sum(-1).mean()) for mask in (speed > 0.8, speed < 0.1))
+    fast, still = (np.sqrt(np.square(added[mask, FOOT]).sum(-1).mean()) for mask in (speed > 0.8, speed < 0.1))
     # What lies above 10 Hz of white noise at 120 fps is five sixths of its power.
     assert fast == pytest.approx(MOVING_METRES * np.sqrt(3 * 5 / 6), rel=0.3)
     assert still < fast / 3
@@ -57,8 +55,8 @@ def test_detail_is_as_strong_as_captures_are_in_such_moments(learnt: Detail, smo
 @settings(max_examples=8, deadline=None)
 @given(slow=st.sampled_from([24, 30, 40]), faster=st.sampled_from([2, 3]))
 def test_a_framerate_is_a_faster_one_low_passed(learnt: Detail, smooth: mk.Motion, slow: int, faster: int) -> None:
-    field, rates = field_of(smooth, learnt), (Fraction(slow), Fraction(slow * faster))
-    few, many = (field.at_fps(fps).steps(np.arange(int(7 * fps)) / float(fps)) for fps in rates)
+    added, rates = on_grid(smooth, learnt), (Fraction(slow), Fraction(slow * faster))
+    few, many = (steps(added, np.arange(int(7 * fps)) / float(fps), fps) for fps in rates)
     filtered = resample_positions(many, rates[1], rates[0])
     inner = slice(slow, len(few) - slow)
     assert few.std() > 1e-4
@@ -68,9 +66,9 @@ def test_a_framerate_is_a_faster_one_low_passed(learnt: Detail, smooth: mk.Motio
 @pytest.mark.parametrize("fps", [30, 60, 100])
 def test_nothing_lies_above_half_the_framerate(learnt: Detail, smooth: mk.Motion, fps: int) -> None:
     times = np.arange(1600) / 240.0
-    steps = field_of(smooth, learnt).at_fps(Fraction(fps)).steps(times)[:, FOOT, 1]
-    power = np.square(np.abs(np.fft.rfft(steps * np.hanning(len(steps)))))
-    hz = np.fft.rfftfreq(len(steps), 1 / 240)
+    added = steps(on_grid(smooth, learnt), times, Fraction(fps))[:, FOOT, 1]
+    power = np.square(np.abs(np.fft.rfft(added * np.hanning(len(added)))))
+    hz = np.fft.rfftfreq(len(added), 1 / 240)
     assert power[hz > fps / 2].sum() < 1e-5 * power.sum()
     assert power[(hz > 0.7 * fps / 2) & (hz < 0.8 * fps / 2)].sum() > 1e-3 * power.sum()
 
@@ -80,7 +78,7 @@ def test_bones_keep_their_length(learnt: Detail, rotations: bool) -> None:
     motion = capture(NATIVE, "walk", 3.0)
     if not rotations:
         motion = replace(motion, local_rotations=None, root_translation=None)
-    field = field_of(motion, learnt)
+    field = detailed(interpolate(motion, "slerp" if rotations else "cubic"), learnt, seed=3)
     before, after = (to_motion(each, Fraction(90)) for each in (field.field, field))
     parents = list(mk.SMPL22.parents[1:])
     lengths = [
@@ -99,7 +97,7 @@ def test_bones_keep_their_length(learnt: Detail, rotations: bool) -> None:
 
 def test_what_a_capture_has_already_is_not_added_again(learnt: Detail, smooth: mk.Motion) -> None:
     real = shaken(smooth, 5)
-    steps = [field_of(each, learnt).displacements.compute() for each in (smooth, real)]
-    assert np.square(steps[1]).mean() < 0.35 * np.square(steps[0]).mean()
+    added = [on_grid(each, learnt) for each in (smooth, real)]
+    assert np.square(added[1]).mean() < 0.35 * np.square(added[0]).mean()
     power = band_power(with_ends(real.joint_positions))
     assert power.shape == (real.num_frames, NUM_BANDS, 22)

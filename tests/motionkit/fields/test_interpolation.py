@@ -71,7 +71,7 @@ def test_many_motions_at_once_are_each_as_alone(method: Method, rotations: bool)
     for observation, found in zip(observations, together, strict=True):
         field = INTERPOLATORS[method].encode(observation, before_seconds=before, after_seconds=after)
         expected = field.query(times)
-        assert found.is_like(expected)
+        assert (found.root_translation is None) == (expected.root_translation is None)
         assert np.abs(found.joint_positions - expected.joint_positions).max() < 1e-6
         if expected.local_rotations is not None:
             assert found.local_rotations is not None
@@ -113,7 +113,7 @@ def test_observations_are_checked() -> None:
             Observation.of(motion, mask)
     unseen = motion.joint_positions.copy()
     unseen[1, 4, 2] = np.nan
-    with pytest.raises(ValueError, match="joint_positions of pose 1"):
+    with pytest.raises(ValueError, match="pose 1"):
         Observation(motion.timegrid.seconds(), Poses(unseen, motion.local_rotations), mk.SMPL22)
 
 

@@ -11,12 +11,12 @@ import motionkit as mk
 from motionkit.core import kinematics
 from motionkit.fields.interpolation import INTERPOLATORS, Interpolator
 from motionkit.fields.motion_field import Joints, MotionField, Observation, Poses, to_motion
-from motionkit.fields.resample import complete
 from motionkit.fields.rig import on_bones
 from motionkit.fields.transfer import Transferred, canonical_observation
 from motionkit.io.smpl_body import mean_shape_skeleton
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.bones import bone_lengths, mixamo_name
+from tests.helpers.completing import complete
 
 CUBIC, SLERP = INTERPOLATORS["rotation-cubic"], INTERPOLATORS["slerp"]
 FPS = Fraction(30)

@@ -70,7 +70,7 @@ def test_many_motions_at_once_are_each_as_alone(exact: TrainedNetwork, frames: i
     together = encoder.query_many(observations, times)
     for observation, found in zip(observations, together, strict=True):
         expected = encoder.encode(observation, before_seconds=2.0, after_seconds=9.0).query(times)
-        assert found.is_like(expected)
+        assert (found.local_rotations is None) == (expected.local_rotations is None)
         np.testing.assert_allclose(found.joint_positions, expected.joint_positions, atol=2e-5)
     with pytest.raises(ValueError, match="motion 1 of 2 is not observed at the times of the first"):
         encoder.query_many([observations[0], observations[1].rows(slice(0, -1))], times)
