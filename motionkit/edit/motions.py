@@ -161,7 +161,7 @@ def _of_item(item: SourceItem, path: Path, options: ReadOptions) -> MotionSource
 def _load_item(item: SourceItem, options: ReadOptions) -> LoadedMotion:
     document = read_document(item, options)
     if document is not None:
-        return LoadedMotion(document.motion, document.valid, document=document, suffix=".bvh")
+        return replace(LoadedMotion.of(document.motion), document=document, suffix=".bvh")
     motion, valid, uneven_seconds = read_with_missing(item, options)
     suffix, note = item.path.suffix.lower(), ""
     if suffix == ".npy" and pose_vectors.accepts(FileHead(item.path)):

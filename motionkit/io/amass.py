@@ -19,7 +19,7 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.timegrid import TimeGrid, parse_fps
+from motionkit.core.timegrid import parse_fps
 from motionkit.io import body_frame, npy, source_file
 from motionkit.io.registry import FileHead, Format, ReadOptions, SourceItem
 from motionkit.io.retargeting import retarget
@@ -68,7 +68,7 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     family = archive.text("surface_model_type").strip().lower().split("_")[0]  # without a variant: "smplx_locked_head"
     poses, layout = _read_poses(archive, family)
     trans = archive.numbers("trans", (len(poses), 3))
-    fps, stated_fps, operations = framerate_of(archive, FRAMERATE_KEYS, options, "--fps-rules or --fps gives it")
+    fps, stated, operations = framerate_of(archive, FRAMERATE_KEYS, options, "--fps-rules or --fps gives it")
     skeleton, origin = _skeleton(archive, layout, LAYOUTS.get(family, SMPLH), options)
     rotations = kinematics.rotation_vector_to_quaternion(poses[:, : 3 * skeleton.num_joints].reshape(len(poses), -1, 3))
     root = trans + skeleton.offsets[0]
@@ -79,14 +79,8 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     root = body_frame.to_y_up(root, axis)
     lines = (*operations, *origin, *body_frame.log_lines(axis, options.up))
     subject = "" if path.parent == item.root else path.parent.name
-    return Motion(
-        joint_positions=kinematics.forward_kinematics(rotations, root, skeleton),
-        skeleton=skeleton,
-        timegrid=TimeGrid(fps, len(root)),
-        local_rotations=rotations,
-        root_translation=root,
-        sequence_id=item.sequence_id,
-        provenance=source_file.provenance(path, data, "amass", lines, subject=subject, stated_fps=stated_fps),
+    return source_file.motion_of(
+        path, data, "amass", skeleton, fps, lines, rotations=rotations, root=root, subject=subject, stated_fps=stated
     )
 
 

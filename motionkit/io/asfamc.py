@@ -19,7 +19,6 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import MAX_JOINTS, Skeleton
-from motionkit.core.timegrid import TimeGrid
 from motionkit.io import source_file
 from motionkit.io.registry import Format, ReadOptions, of_path
 from motionkit.io.source_file import INLINE_BYTES, find_words, parse_number, to_numbers
@@ -66,13 +65,12 @@ class AmcTable:
     bones: tuple[tuple[str, int], ...]
 
 
-def read_asfamc(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_asfamc(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one AMC file and the ASF skeleton beside it: positions in metres, y up, true local rotations.
 
     The skeleton is SUBJECT.asf for SUBJECT_TAKE.amc, or the folder's only ASF file. Raises
     `FormatError`, with the reason `no-framerate` without `options.fps`, since AMC does not state a framerate.
     """
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     if options.fps is None:
         message = "AMC states no framerate; give it with --fps (CMU: 120, some takes 60) or in an annotation CSV's fps"
@@ -82,16 +80,9 @@ def read_asfamc(path: Path, options: ReadOptions | None = None) -> Motion:
     table = parse_amc(data, path)
     rotations, root = _local_rotations(table, asf, path)
     origin = "given" if options.unit_metres else "ASF length unit"
-    operations = [f"lengths × {asf.unit_metres:.6g} to metres ({origin})"]
-    return Motion(
-        joint_positions=kinematics.forward_kinematics(rotations, root, asf.skeleton),
-        skeleton=asf.skeleton,
-        timegrid=TimeGrid(options.fps, len(table.values)),
-        local_rotations=np.ascontiguousarray(rotations),
-        root_translation=root,
-        sequence_id=path.stem,
-        provenance=source_file.provenance(path, data, "asfamc", operations),
-    )
+    log = [f"lengths × {asf.unit_metres:.6g} to metres ({origin})"]
+    rotations = np.ascontiguousarray(rotations)
+    return source_file.motion_of(path, data, "asfamc", asf.skeleton, options.fps, log, rotations=rotations, root=root)
 
 
 def find_skeleton(path: Path) -> Path:

@@ -40,9 +40,8 @@ WRITTEN_DECIMALS = 6
 _SAME_METRES = 2e-6
 _SAME_RADIANS = 2e-6
 _MOTION = re.compile(rb"(?m)^[ \t]*MOTION[ \t]*\r?$")
-_FRAMES = re.compile(rb"(?i)\s*Frames[ \t]*:([^\n]*)")
+_FRAMES = re.compile(rb"(?i)\s*Frames[ \t]*:[ \t]*(\d{1,11})[ \t\r]*\n")
 _FRAME_TIME = re.compile(rb"(?i)\s*Frame[ \t]+Time[ \t]*:([^\n]*)")
-_NAN = re.compile(rb"(?i)(?<![^\s])[-+]?nan(?![^\s])")
 _BLANK = bytes(range(33))
 
 
@@ -82,8 +81,7 @@ class BvhHead:
 class BvhDocument:
     """A BVH file in memory: its motion, and the text and numbers from which it can be written again.
 
-    Frame k of the motion is `lines[k]` of the file as written, and row k of `table` (file units and degrees). `valid`
-    marks the frames whose numbers are all finite; the others repeat the frame before, or the first valid one. `body` is
+    Frame k of the motion is `lines[k]` of the file as written, and row k of `table` (file units and degrees). `body` is
     the text of all lines of numbers, in which the motion begins with line `first_frame` (from 0). `has_reference` is
     whether line 0 is the T-pose that some conversions begin with, which is not a frame. `local_rotations` and
     `root_translation` are also those of a file whose bones change, which its motion lacks.
@@ -101,7 +99,6 @@ class BvhDocument:
     first_frame: int
     has_reference: bool
     table: Float64[np.ndarray, "frames channels"]
-    valid: Bool[np.ndarray, "frames"]
     unit_metres: float
     moving: tuple[int, ...]
     up: str
@@ -128,11 +125,10 @@ class BvhDocument:
             root_translation=self.root_translation[start:stop],
             first_frame=self.first_frame + start,
             table=self.table[start:stop],
-            valid=self.valid[start:stop],
         )
 
 
-def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_bvh(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one BVH file: positions in metres, y up, true local rotations, at the stated framerate.
 
     The unit is `options.unit_metres` or inferred (`body_frame.infer_unit`); a T-pose in frame 0, as B. Hahne's
@@ -142,12 +138,11 @@ def read_bvh(path: Path, options: ReadOptions | None = None) -> Motion:
     return read_document(path, options, strict=True).motion
 
 
-def read_document(path: Path, options: ReadOptions | None = None, *, strict: bool = False) -> BvhDocument:
+def read_document(path: Path, options: ReadOptions = ReadOptions(), *, strict: bool = False) -> BvhDocument:
     """Read one BVH file to be written again; with `strict`, raises `FormatError` whenever `read_bvh` does.
 
-    Otherwise frames with `nan` are not `valid`, and a skeleton that is not a human body in any unit is accepted.
+    Otherwise a skeleton that is not a human body in any unit is accepted.
     """
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     # Lines of old Macintoshes end in a carriage return alone.
     head, body = split_text(data if b"\n" in data else data.replace(b"\r", b"\n"), path)
@@ -158,21 +153,11 @@ def read_document(path: Path, options: ReadOptions | None = None, *, strict: boo
     # A number takes at least a digit and a separator: a shorter text is truncated, which its last line says.
     if 2 * head.num_frames * num_channels - 1 <= len(body):
         source_file.check_size(head.num_frames, len(head.joints), path)
-    has_nan = not strict and _NAN.search(body) is not None
-    numbers = body
-    if has_nan:  # zeros keep the counts of lines and frames right
-        zeros = b" ".join([b"0"] * num_channels)
-        numbers = b"\n".join(zeros if _NAN.search(line) else line for line in body.split(b"\n"))
-    table = source_file.read_table(numbers, head.num_frames, num_channels, path, head.frame_time_line + 1)
-    valid = np.ones(len(table), bool)
-    if has_nan:
-        valid = np.array([_NAN.search(line) is None for line in _lines(body)], bool)
-    has_reference = bool(valid[:2].all()) and _starts_with_t_pose(table, head.joints)
+    table = source_file.read_table(body, head.num_frames, num_channels, path, head.frame_time_line + 1)
+    has_reference = _starts_with_t_pose(table, head.joints)
     if has_reference:
-        table, valid = table[1:], valid[1:]
+        table = table[1:]
         operations.append(T_POSE_DROPPED)
-    if not valid.all():
-        table = table[source_file.last_valid(valid, path)]
     pose = _decode(table, head.joints)
     pose = replace(pose, skeleton=with_layout_map(pose.skeleton, options.skeleton_maps))
     unit_metres, reason = _unit(pose, options, path, strict)
@@ -218,7 +203,6 @@ def read_document(path: Path, options: ReadOptions | None = None, *, strict: boo
         first_frame=int(has_reference),
         has_reference=has_reference,
         table=table,
-        valid=valid,
         unit_metres=unit_metres,
         moving=moving,
         up=up,
@@ -279,14 +263,11 @@ def split_text(data: bytes, path: Path) -> tuple[BvhHead, bytes]:
         line = data.count(b"\n", 0, len(data) - len(rest)) + 1
         expected, reason = ("Frame Time: seconds", "frame-time") if counted else ("Frames: count", "frame-count")
         raise FormatError(f"expected '{expected}'", path=path, reason=reason if rest else "truncated", line=line)
-    count, count_line = counted[1].decode("utf-8", "replace").strip(), data.count(b"\n", 0, counted.start(1)) + 1
-    if not (count.isascii() and count.isdecimal() and len(count) < 12):
-        message = f"'Frames: {count[:40]}', expected a whole number"
-        raise FormatError(message, path=path, reason="frame-count", line=count_line)
-    if int(count) == 0:
-        raise FormatError("0 frames, expected at least one", path=path, reason="no-frames", line=count_line)
+    if int(counted[1]) == 0:
+        line = data.count(b"\n", 0, counted.start(1)) + 1
+        raise FormatError("0 frames, expected at least one", path=path, reason="no-frames", line=line)
     frame_time, time_line = timed[1].decode("utf-8", "replace").strip(), data.count(b"\n", 0, timed.start(1)) + 1
-    head = BvhHead(data[: motion.end()], joints, int(count), frame_time, time_line)
+    head = BvhHead(data[: motion.end()], joints, int(counted[1]), frame_time, time_line)
     if not head.num_channels:
         raise FormatError("no joint has CHANNELS, so nothing moves", path=path, reason="channels")
     return head, data[timed.end() + 1 :].rstrip()

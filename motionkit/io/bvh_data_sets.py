@@ -51,7 +51,7 @@ STYLE_AND_KIND = re.compile(rf"(?P<style>[A-Za-z0-9]+)_(?P<kind>{'|'.join(ACTION
 ABSENT = ("", "n/a", "nan", "none")
 
 
-def read_lafan1(path: Path, options: ReadOptions | None = None, *, strict: bool = False) -> BvhDocument:
+def read_lafan1(path: Path, options: ReadOptions = ReadOptions(), *, strict: bool = False) -> BvhDocument:
     """Read one take with its theme as the action, its subject, and the benchmark's split: subject 5 is the test set.
 
     The root's OFFSET, a take's starting position, is set to zero, so that takes of one subject share their skeleton;
@@ -78,7 +78,7 @@ def find_cuts(path: Path) -> Path | None:
     return next((folder / CUTS_FILE for folder in path.parents[:2] if (folder / CUTS_FILE).is_file()), None)
 
 
-def read_100style(path: Path, options: ReadOptions | None = None, *, strict: bool = False) -> BvhDocument:
+def read_100style(path: Path, options: ReadOptions = ReadOptions(), *, strict: bool = False) -> BvhDocument:
     """Read frames [START, STOP) of one take, counted from 0, with its style and movement.
 
     Times count from the first frame kept. Raises `FormatError` as `read_document` does, and with the reason

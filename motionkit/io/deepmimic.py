@@ -7,22 +7,19 @@ DeepMimicCore/anim/KinTree.cpp (the axis of revolute joints).
 """
 
 import re
-import tomllib
-from dataclasses import dataclass
+from dataclasses import replace
 from fractions import Fraction
 from functools import cache
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
-from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.files import parse_json
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import Feet, Skeleton
-from motionkit.core.timegrid import SNAP_TOLERANCE, TimeGrid, parse_fps
+from motionkit.core.timegrid import SNAP_TOLERANCE, parse_fps
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import in_metres
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
@@ -36,53 +33,37 @@ MAX_LENGTH_ERROR, LOGGED_LENGTH_ERROR = 0.5, 0.01
 NAME = re.compile(r"(?:sie_)?humanoid3d_(?P<action>[a-z]\w*?)_?\d*", re.IGNORECASE)
 
 
-@dataclass(frozen=True)
-class Character:
-    """A skeleton and the number of rotation values per frame of each of its joints."""
-
-    skeleton: Skeleton
-    rotation_sizes: tuple[int, ...]
-
-
 def accepts(head: FileHead) -> bool:
     """Whether a text file is a JSON object with "Frames" near its beginning."""
     return head.content.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"{") and FRAMES_KEY in head.content
 
 
-def read_deepmimic(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_deepmimic(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one file: positions in metres, y up, true local rotations, at the framerate that the durations state.
 
     The last frame's duration is ignored (mostly 0). Durations that differ by more than 0.1 % are refused (`frame-time`)
     unless `options.fps` replaces them: a Motion has one framerate, and nothing is resampled.
     The action is taken from names such as `humanoid3d_zombie_walk`. Raises `FormatError`.
     """
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
-    character = humanoid3d()
-    table = _table(data, character, path)
+    skeleton, rotation_sizes = humanoid3d()
+    table = _table(data, rotation_sizes, path)
     fps, stated, operations = _framerate(table[:-1, 0], options.fps, path)
-    rotations, normalised = _rotations(table, character, path)
+    rotations, normalised = _rotations(table, skeleton, rotation_sizes, path)
     operations += normalised
     root = table[:, 1:FIRST_ROTATION].astype(np.float32)
     named = NAME.fullmatch(path.stem)
-    motion = Motion(
-        joint_positions=kinematics.forward_kinematics(rotations, root, character.skeleton),
-        skeleton=character.skeleton,
-        timegrid=TimeGrid(fps, len(table)),
-        local_rotations=rotations,
-        root_translation=root,
-        action=named["action"].lower() if named else "",
-        sequence_id=path.stem,
-        provenance=source_file.provenance(path, data, "deepmimic", operations, stated_fps=stated),
+    motion = source_file.motion_of(
+        path, data, "deepmimic", skeleton, fps, operations, rotations=rotations, root=root, stated_fps=stated
     )
+    motion = replace(motion, action=named["action"].lower() if named else "")
     return in_metres(motion, options.unit_metres)
 
 
 @cache
-def humanoid3d() -> Character:
-    """The humanoid of `motionkit/core/skeletons/deepmimic_humanoid3d.toml`."""
-    file = resources.files("motionkit.core.skeletons") / "deepmimic_humanoid3d.toml"
-    joints = tomllib.loads(file.read_text(encoding="utf-8"))["joints"]
+def humanoid3d() -> tuple[Skeleton, tuple[int, ...]]:
+    """The humanoid of core/skeletons/deepmimic_humanoid3d.toml, and its joints' rotation values per frame."""
+    joints = source_file.shipped("core/skeletons/deepmimic_humanoid3d.toml")["joints"]
     names = tuple(joint["name"] for joint in joints)
     right = [joint for joint, name in enumerate(names) if name.startswith("right_")]
     ankles = {side: names.index(f"{side}_ankle") for side in ("left", "right")}
@@ -95,10 +76,10 @@ def humanoid3d() -> Character:
         feet=Feet(ankles["left"], ankles["left"], ankles["right"], ankles["right"]),
         end_sites=tuple((index, tuple(joint["tip"])) for index, joint in enumerate(joints) if "tip" in joint),
     )
-    return Character(skeleton, tuple(ROTATION_SIZES[joint["rotation"]] for joint in joints))
+    return skeleton, tuple(ROTATION_SIZES[joint["rotation"]] for joint in joints)
 
 
-def _table(data: bytes, character: Character, path: Path) -> Float64[np.ndarray, "frames numbers"]:
+def _table(data: bytes, rotation_sizes: tuple[int, ...], path: Path) -> Float64[np.ndarray, "frames numbers"]:
     try:
         frames = parse_json(source_file.decode(data, path))["Frames"]
         if not isinstance(frames, list):
@@ -106,7 +87,7 @@ def _table(data: bytes, character: Character, path: Path) -> Float64[np.ndarray,
     except (ValueError, TypeError, KeyError) as error:
         message = f"no JSON object with a list Frames ({type(error).__name__}: {error})"
         raise FormatError(message, path=path, reason="not-what-it-says") from None
-    size = FIRST_ROTATION + sum(character.rotation_sizes)
+    size = FIRST_ROTATION + sum(rotation_sizes)
     for number, frame in enumerate(frames):
         is_numbers = isinstance(frame, list) and all(type(value) in (int, float) for value in frame)
         if not is_numbers or len(frame) != size:
@@ -144,12 +125,12 @@ def _framerate(
 
 
 def _rotations(
-    table: Float64[np.ndarray, "frames numbers"], character: Character, path: Path
+    table: Float64[np.ndarray, "frames numbers"], skeleton: Skeleton, rotation_sizes: tuple[int, ...], path: Path
 ) -> tuple[Float32[np.ndarray, "frames joints 4"], list[str]]:
-    rotations = np.zeros((len(table), character.skeleton.num_joints, 4), np.float32)
+    rotations = np.zeros((len(table), skeleton.num_joints, 4), np.float32)
     rotations[..., 0] = 1.0
     column, worst = FIRST_ROTATION, 0.0
-    for joint, size in enumerate(character.rotation_sizes):
+    for joint, size in enumerate(rotation_sizes):
         values = table[:, column : column + size]
         column += size
         if size == 1:
@@ -159,7 +140,7 @@ def _rotations(
             error = np.abs(lengths - 1.0)
             frame = int(np.argmax(error))
             if error[frame] > MAX_LENGTH_ERROR:
-                name = character.skeleton.joint_names[joint]
+                name = skeleton.joint_names[joint]
                 message = f"the rotation of {name} is no unit quaternion (its length is {lengths[frame]:.4g})"
                 raise FormatError(message, path=path, reason="range", frame=frame)
             worst = max(worst, float(error[frame]))

@@ -43,7 +43,6 @@ WIDTHS = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 # glTF's key times are float32: a step's value holds from this much before its key.
 KEY_SECONDS = 1e-4
-VERTICES, INDICES = 34962, 34963
 LARGEST_BYTES = 1 << 30
 # A bone is thickest at a sixth of its length, with the thickness of Blender's bones.
 WAIST, THICKNESS = 1 / 6, 0.1
@@ -76,15 +75,13 @@ class GlbBuffer:
         self._views = list(views)
         self._accessors = list(accessors)
 
-    def add(self, array: np.ndarray, *, bounds: bool = False, target: int | None = None) -> int:
+    def add(self, array: np.ndarray, *, bounds: bool = False) -> int:
         """Append float32, uint16 or uint32 values, one element per row; returns the accessor's index.
 
-        `bounds` adds minimum and maximum (required for positions and key times), `target` says what a mesh uses it for.
+        `bounds` adds minimum and maximum (required for positions and key times).
         """
         rows = np.ascontiguousarray(array.reshape(len(array), -1))
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._content), "byteLength": rows.nbytes}
-        if target is not None:
-            view["target"] = target
+        view = {"buffer": 0, "byteOffset": len(self._content), "byteLength": rows.nbytes}
         accessor: dict[str, Any] = {
             "bufferView": len(self._views),
             "componentType": COMPONENT_TYPES[rows.dtype.name],
@@ -208,9 +205,9 @@ def _body(skeleton: Skeleton, buffer: GlbBuffer) -> tuple[list[dict[str, Any]], 
     weights = np.zeros((len(joints), 4), np.float32)
     weights[:, 0] = 1.0
     attributes = {
-        "POSITION": buffer.add(np.concatenate(corners).astype(np.float32), bounds=True, target=VERTICES),
-        "JOINTS_0": buffer.add(joints, target=VERTICES),
-        "WEIGHTS_0": buffer.add(weights, target=VERTICES),
+        "POSITION": buffer.add(np.concatenate(corners).astype(np.float32), bounds=True),
+        "JOINTS_0": buffer.add(joints),
+        "WEIGHTS_0": buffer.add(weights),
     }
     primitives: list[dict[str, Any]] = []
     materials: list[dict[str, Any]] = []
@@ -218,7 +215,7 @@ def _body(skeleton: Skeleton, buffer: GlbBuffer) -> tuple[list[dict[str, Any]], 
         solids = [number for number, ends in enumerate(bound) if sides[ends[-1]] == side]
         if solids:
             faces = (6 * np.array(solids)[:, None, None] + FACES).astype(np.uint32)
-            indices = buffer.add(faces.ravel(), target=INDICES)
+            indices = buffer.add(faces.ravel())
             primitives.append({"attributes": attributes, "indices": indices, "material": len(materials)})
             surface = {"baseColorFactor": colour, "metallicFactor": 0.0, "roughnessFactor": 0.8}
             materials.append({"name": name, "pbrMetallicRoughness": surface})
@@ -292,8 +289,7 @@ class GltfRig:
 def read_rig(path: Path, options: ReadOptions) -> GltfRig:
     """The rig of a .glb; raises `FormatError` (`gltf`) for any other file, or one without a skin with a single root."""
     try:
-        document, binary = _read_chunks(read_at_most(path, LARGEST_BYTES))
-        return _rig(document, binary, path, options)
+        return _rig(*_read_chunks(read_at_most(path, LARGEST_BYTES)), options)
     except (KeyError, IndexError, TypeError, AttributeError, ValueError, struct.error) as error:
         raise FormatError(f"no .glb with a skinned skeleton ({error!r})", path=path, reason="gltf") from None
 
@@ -337,41 +333,31 @@ def _joints(document: dict[str, Any]) -> tuple[list[int], list[int], dict[int, l
     return order, parents, chains
 
 
-def _rig(document: dict[str, Any], binary: bytes, path: Path, options: ReadOptions) -> GltfRig:
+def _rig(document: dict[str, Any], binary: bytes, options: ReadOptions) -> GltfRig:
     if not document["skins"]:
         raise ValueError("no skin")
     nodes: list[dict[str, Any]] = document["nodes"]
     order, parents, chains = _joints(document)
-    matrices = [_matrices(node)[0] for node in nodes]
-
-    def product(chain: Sequence[int]) -> Float64[np.ndarray, "4 4"]:
-        """The transform of nodes that are given from the innermost outwards."""
-        matrix = np.eye(4)
-        for node in chain:
-            matrix = matrices[node] @ matrix
-        return matrix
-
-    world = [product((joint, *chains[joint])) for joint in order]
-    turns = kinematics.matrix_to_quaternion(np.array([_rotation(matrix) for matrix in world]))
-    places = np.array([matrix[:3, 3] for matrix in world])
+    world = {node: matrices[0] for node, matrices in _world(nodes, order, chains, {}).items()}
+    uppers = [next(iter(chains[joint]), -1) for joint in order]
+    matrices, upper_matrices = (np.array([world[node] for node in each]) for each in (order, uppers))
+    turns, upper_turns = (_rotations(each) for each in (matrices, upper_matrices))
+    if (np.linalg.det(turns) < 0).any():
+        raise ValueError("a node that mirrors")
     # Relative to the parent joint, across any nodes in between.
-    rest, offsets, above = turns.copy(), places.copy(), []
-    for number, parent in enumerate(parents):
-        chain = chains[order[number]]
-        between = chain if parent < 0 else chain[: chain.index(order[parent])]
-        above.append(_rotation(product(between)))
-        if parent >= 0:
-            back = kinematics.quaternion_conjugate(turns[parent])
-            rest[number] = kinematics.quaternion_multiply(back, turns[number])
-            offsets[number] = kinematics.quaternion_rotate(back, places[number] - places[parent])
+    parent_turns, places = turns[np.maximum(parents, 0)], matrices[:, :3, 3]
+    offsets = places - places[np.maximum(parents, 0)]
+    root = parents.index(-1)
+    parent_turns[root], offsets[root] = np.eye(3), places[root]
+    back = parent_turns.swapaxes(-1, -2)
     return GltfRig(
         document,
         binary,
-        _skeleton(nodes, order, parents, offsets, options),
+        _skeleton(nodes, order, parents, (back @ offsets[..., None])[..., 0], options),
         tuple(order),
-        rest,
-        kinematics.matrix_to_quaternion(np.array(above)),
-        product(chains[order[0]]),
+        kinematics.matrix_to_quaternion(back @ turns),
+        kinematics.matrix_to_quaternion(back @ upper_turns),
+        upper_matrices[root],
     )
 
 
@@ -387,14 +373,13 @@ def _skeleton(
     return with_layout_map(skeleton, options.skeleton_maps)
 
 
-def read_gltf(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_gltf(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read the first animation of a .glb: positions in metres, y up, rotations relative to the rest pose of its nodes.
 
     Joints are those of the skin, without one the animated nodes and all below. The framerate is that of the most keys,
     which must be even in time; with `options.fps` the animation, a function of time, is sampled at it. Bones that
     change by more than 2 mm leave positions alone. Raises `FormatError` (`gltf`, `no-framerate`, `frame-time`).
     """
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     try:
         document, binary = _read_chunks(data)
@@ -427,12 +412,16 @@ def _motion(document: dict[str, Any], binary: bytes, data: bytes, path: Path, op
     seconds = grid.seconds()
     moved = {(node, name): _sampled(*track, seconds, is_rotation=name == "rotation") for node, name, track in tracks}
     world, rest = (_world(nodes, order, chains, each) for each in (moved, {}))
+    num_frames = max(map(len, world.values()))
+    matrices = np.stack([np.broadcast_to(world[joint], (num_frames, 4, 4)) for joint in order], axis=1)
+    rest_matrices = np.concatenate([rest[joint] for joint in order])
     # A joint's turn is from its rest pose, in which all of them are thus identities.
-    turns, places = world[0] @ rest[0].swapaxes(-1, -2), rest[1][0]
+    turns = _rotations(matrices) @ _rotations(rest_matrices).swapaxes(-1, -2)
+    places = rest_matrices[:, :3, 3]
     above = np.maximum(parents, 0)
     offsets = places - np.where(np.array(parents)[:, None] < 0, 0.0, places[above])
     skeleton = _skeleton(nodes, order, parents, offsets, options)
-    positions = world[1].astype(np.float32)
+    positions = matrices[..., :3, 3].astype(np.float32)
     local = np.concatenate((turns[:, :1], turns[:, above[1:]].swapaxes(-1, -2) @ turns[:, 1:]), axis=1)
     rotations = kinematics.matrix_to_quaternion(local).astype(np.float32)
     reached = kinematics.forward_kinematics(rotations, positions[:, 0], skeleton)
@@ -514,20 +503,18 @@ def _world(
     order: list[int],
     chains: dict[int, list[int]],
     moved: Mapping[tuple[int, str], Float64[np.ndarray, "frames _"]],
-) -> tuple[Float64[np.ndarray, "frames joints 3 3"], Float64[np.ndarray, "frames joints 3"]]:
-    """Rotations and positions of joints in the world, with the animated values in place of the nodes' own."""
+) -> dict[int, Float64[np.ndarray, "_ 4 4"]]:
+    """Transforms in the world of joints and of the nodes above them, with the animated values in place of their own.
+
+    That of -1 is the identity.
+    """
     world: dict[int, np.ndarray] = {-1: np.eye(4)[None]}
     for joint in order:
         for node, above in zip(path := [*reversed(chains[joint]), joint], [-1, *path[:-1]], strict=True):
             if node not in world:
                 own = {name: values for (each, name), values in moved.items() if each == node}
                 world[node] = world[above] @ _matrices({**_without_matrix(nodes[node]), **own})
-    num_frames = max(map(len, world.values()))
-    every = np.stack([np.broadcast_to(world[joint], (num_frames, 4, 4)) for joint in order], axis=1)
-    sizes = np.linalg.norm(every[..., :3, :3], axis=-2, keepdims=True)
-    if not sizes.min() > 1e-9 * sizes.max():
-        raise ValueError("a node that flattens")
-    return every[..., :3, :3] / sizes, every[..., :3, 3]
+    return world
 
 
 def _nodes_above(node: int, parent_of: dict[int, int]) -> list[int]:
@@ -561,7 +548,7 @@ def _without_matrix(node: dict[str, Any]) -> dict[str, Any]:
     if "matrix" not in node:
         return node
     matrix = _matrices(node)[0]
-    w, *xyz = kinematics.matrix_to_quaternion(_rotation(matrix)[None])[0].tolist()
+    w, *xyz = kinematics.matrix_to_quaternion(_rotations(matrix)[None])[0].tolist()
     return {
         **{key: value for key, value in node.items() if key != "matrix"},
         "translation": matrix[:3, 3].tolist(),
@@ -570,12 +557,12 @@ def _without_matrix(node: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _rotation(matrix: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "3 3"]:
-    """The rotation of a matrix, without its scale."""
-    u, sizes, vt = np.linalg.svd(matrix[:3, :3])
-    if not sizes[-1] > 1e-9 * sizes[0] or np.linalg.det(u @ vt) < 0:
-        raise ValueError("a node that flattens or mirrors")
-    return np.asarray(u @ vt)
+def _rotations(matrices: Float64[np.ndarray, "*n 4 4"]) -> Float64[np.ndarray, "*n 3 3"]:
+    """The rotations of transforms, without their scale."""
+    sizes = np.linalg.norm(matrices[..., :3, :3], axis=-2, keepdims=True)
+    if not sizes.min() > 1e-9 * sizes.max():
+        raise ValueError("a node that flattens")
+    return np.asarray(matrices[..., :3, :3] / sizes)
 
 
 FORMAT = Format(name="gltf", read=of_path(read_gltf), suffixes=(".glb",), write=write_gltf)

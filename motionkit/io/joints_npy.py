@@ -20,7 +20,7 @@ from motionkit.core.files import parse_json, write_json
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import map_joints
-from motionkit.core.timegrid import TimeGrid, parse_fps
+from motionkit.core.timegrid import parse_fps
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import upright
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
@@ -80,14 +80,9 @@ def read_joints_npy(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
         operations.append(f"lengths × {unit:g} to metres (given)")
     positions, lines = upright(skeleton, positions, options.up)
     operations += lines
-    return Motion(
-        joint_positions=positions,
-        skeleton=skeleton,
-        timegrid=TimeGrid(fps, len(positions)),
-        sequence_id=path.stem,
-        provenance=source_file.provenance(
-            path, data, "joints-npy", operations, stated_fps="" if manifest.fps is None else str(manifest.fps)
-        ),
+    stated = "" if manifest.fps is None else str(manifest.fps)
+    return source_file.motion_of(
+        path, data, "joints-npy", skeleton, fps, operations, positions=positions, stated_fps=stated
     )
 
 

@@ -26,20 +26,18 @@ import numpy as np
 
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Bool, Float32, Float64, Int64
+from motionkit.core.shapes import Bool, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.mapping import with_layout_map
-from motionkit.core.timegrid import TimeGrid, parse_fps
-from motionkit.io import source_file
+from motionkit.core.timegrid import parse_fps
+from motionkit.fields.contact.detection import runs
+from motionkit.io import npy, source_file
 from motionkit.io.body_frame import AXES, log_lines, to_y_up, upright
 from motionkit.io.registry import Format, ReadOptions, of_path
 
 UNITS = {"mm": 0.001, "cm": 0.01, "dm": 0.1, "m": 1.0, "in": 0.0254, "inch": 0.0254, "ft": 0.3048}
 # Linear interpolation over 0.1 s has an error of a·t²/8: 6 mm at 5 m/s².
 MAX_GAP_SECONDS = Fraction(1, 10)
-MAX_METRES = 1e5
-# Number of grid steps of the search for a block's ends; a take has about a hundred markers with gaps.
-GRID_STEPS = 256
 # Of C3D. Vicon's models store angles, forces and the like among the points, and list them.
 NO_POSITIONS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
 ASSUMED_UP = "z"
@@ -52,16 +50,6 @@ HEADER_LINES = 5
 NOT_SEEN = ("", "nan")
 
 Parameter = tuple[str, ...] | tuple[float, ...]
-Runs = tuple[Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"]]
-
-
-def runs_of(mask: Bool[np.ndarray, "frames markers"]) -> Runs:
-    """Marker, first frame, and frame after the last of every run of True, by marker."""
-    edges = np.zeros((mask.shape[1], len(mask) + 2), np.int8)
-    edges[:, 1:-1] = mask.T
-    change = np.diff(edges, axis=1)
-    marker, start = np.nonzero(change == 1)
-    return marker, start, np.nonzero(change == -1)[1]
 
 
 def largest_block(
@@ -69,37 +57,23 @@ def largest_block(
 ) -> tuple[int, int, Bool[np.ndarray, "markers"]]:
     """Frames [start, stop) and the markers in them without gaps longer than `max_gap` frames: most markers × frames.
 
-    Exact for takes of up to 256 frames; in longer ones the ends are searched on a grid of 256 steps and then extended
-    as far as the chosen markers allow.
+    Markers are taken in the order of the frames that they lack in long gaps.
     """
-    num_frames, num_markers = missing.shape
-    marker, start, stop = _visible_runs(missing, max_gap)
-    grid = np.unique(np.linspace(0, num_frames, min(num_frames, GRID_STEPS) + 1).astype(np.int64))
-    first, last = np.searchsorted(grid, start), np.searchsorted(grid, stop, side="right") - 1
-    within = first < last
-    # counts[a, b]: markers with a run that begins by grid step a and ends no sooner than b.
-    counts = np.zeros((len(grid), len(grid)), np.int64)
-    np.add.at(counts, (first[within], last[within]), 1)
-    counts = np.cumsum(np.cumsum(counts, axis=0)[:, ::-1], axis=1)[:, ::-1]
-    best = int(np.argmax(counts * np.maximum(grid[None, :] - grid[:, None], 0)))
-    low, high = divmod(best, len(grid))
-    covers = within & (first <= low) & (last >= high)
-    kept = np.zeros(num_markers, np.bool_)
-    kept[marker[covers]] = True
-    if low >= high or not covers.any():
-        return 0, 0, np.zeros(num_markers, np.bool_)
-    return int(start[covers].max()), int(stop[covers].min()), kept
-
-
-def _visible_runs(missing: Bool[np.ndarray, "frames markers"], max_gap: int) -> Runs:
-    # Runs of frames in which a marker is visible, apart from gaps of up to `max_gap` frames.
-    marker, start, stop = runs_of(missing)
-    never = np.asarray(missing.all(axis=0), np.bool_)
-    long = (stop - start > max_gap) | never[marker]
-    steps = np.zeros((missing.shape[1], len(missing) + 1), np.int64)
-    steps[marker[long], start[long]] += 1
-    steps[marker[long], stop[long]] -= 1
-    return runs_of(np.cumsum(steps, axis=1)[:, :-1].T == 0)
+    gone = np.zeros_like(missing)
+    for marker in range(missing.shape[1]):
+        for start, stop in zip(*runs(missing[:, marker]), strict=True):
+            gone[start:stop, marker] = stop - start > max_gap or stop - start == len(missing)
+    block, most = (0, 0, np.zeros(missing.shape[1], np.bool_)), 0
+    kept, is_gone = np.zeros(missing.shape[1], np.bool_), np.zeros(len(missing), np.bool_)
+    for count, marker in enumerate(np.argsort(gone.sum(axis=0), kind="stable"), start=1):
+        kept[marker] = True
+        is_gone |= gone[:, marker]
+        starts, stops = runs(~is_gone)
+        longest = int(np.argmax(stops - starts)) if len(starts) else 0
+        if len(starts) and count * (stops - starts)[longest] > most:
+            most = count * int((stops - starts)[longest])
+            block = int(starts[longest]), int(stops[longest]), kept.copy()
+    return block
 
 
 @dataclass(frozen=True)
@@ -131,16 +105,18 @@ def without_gaps(markers: Markers, fps: Fraction, path: Path) -> Markers:
         operations.append(f"{len(lost)} markers dropped, not seen for longer than {gap}: {some(lost)}")
     positions, missing = markers.positions[:, stays], missing[:, stays]
     kept, gone = positions[start:stop].copy(), missing[start:stop]
+    longest = 0
     for marker in np.flatnonzero(gone.any(axis=0)):
+        starts, stops = runs(gone[:, marker])
+        longest = max(longest, int((stops - starts).max()))
         # Frames outside the block still give a marker's position on the other side of a gap.
         frames, visible = np.flatnonzero(gone[:, marker]), np.flatnonzero(~missing[:, marker])
         for axis in range(3):
             kept[frames, marker, axis] = np.interp(frames + start, visible, positions[visible, marker, axis])
     if gone.any():
-        _, first, end = runs_of(gone)
         operations.append(
             f"gaps filled linearly: {int(gone.sum())} positions of {int(gone.any(axis=0).sum())} markers, the longest "
-            f"{int((end - first).max())} frames"
+            f"{longest} frames"
         )
     return Markers(tuple(markers.names[marker] for marker in np.flatnonzero(stays)), kept, tuple(operations))
 
@@ -158,18 +134,6 @@ def unit_of(stated: str, name: str, unit_metres: float | None, path: Path) -> tu
         message = f"{name} is {stated[:20]!r}, expected one of {', '.join(UNITS)}; or give --unit-metres"
         raise FormatError(message, path=path, reason="unit")
     return UNITS[stated.lower()], f"{name} is {stated}"
-
-
-def checked_metres(
-    markers: Markers, metres: Float64[np.ndarray, "frames markers 3"], path: Path
-) -> Float32[np.ndarray, "frames markers 3"]:
-    """Marker positions in metres as float32; raises `FormatError` (`range`) for one 100 km away."""
-    bad = ~(np.abs(metres) < MAX_METRES)
-    if bad.any():
-        frame, marker, _ = (int(index[0]) for index in np.nonzero(bad))
-        message = f"marker {markers.names[marker]} is {metres[frame, marker].tolist()} m from the origin"
-        raise FormatError(message, path=path, reason="range", frame=frame)
-    return np.ascontiguousarray(metres, dtype=np.float32)
 
 
 def some(names: Sequence[str]) -> str:
@@ -195,7 +159,7 @@ class C3dFile:
         return tuple(value for value in self.parameters.get(name, ()) if isinstance(value, str))
 
 
-def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_c3d(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read the markers of one file as positions in metres, y up; unlabelled ones and model outputs are left out.
 
     Up is the axis in POINT:Y_SCREEN, by default z, with the sign of most markers' coordinates (vendors disagree about
@@ -204,37 +168,29 @@ def read_c3d(path: Path, options: ReadOptions | None = None) -> Motion:
     are filled linearly, at the ends of the take with the nearest position. All of this is in the operation log. Raises
     `FormatError`, with the reason `gaps` if no marker remains.
     """
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     file = parse_c3d(data, path)
-    rate = numbers_of(file.parameters, "POINT:RATE")[0]
-    fps, log = source_file.fps_in_use(options.fps, lambda: _stated_fps(rate, path), words=f"{rate:g}")
+    rate = next(iter(numbers_of(file.parameters, "POINT:RATE")), math.nan)
+    fps, log = source_file.fps_in_use(options.fps, lambda: _stated_fps(rate, "POINT:RATE", path), words=f"{rate:g}")
     markers = without_gaps(_labelled(file, path), fps, path)
     stated_unit = next(iter(file.texts("POINT:UNITS")), "")
-    unit, why = UNITS["mm"], "POINT:UNITS says nothing: mm, as is usual"
-    if stated_unit or options.unit_metres is not None:
-        unit, why = unit_of(stated_unit, "POINT:UNITS", options.unit_metres, path)
+    name = "POINT:UNITS" if stated_unit else "the usual unit"
+    unit, why = unit_of(stated_unit or "mm", name, options.unit_metres, path)
     up, axis_log = (options.up, log_lines(options.up, options.up)) if options.up else _up(file, markers, path)
-    metres = to_y_up(markers.positions, up) * unit
-    positions = checked_metres(markers, metres, path)
+    positions = npy.checked_numbers(to_y_up(markers.positions, up) * unit, path)
     log += [*markers.operations, f"lengths × {unit:g} to metres ({why})", *axis_log]
     subjects = file.texts("SUBJECTS:NAMES")
-    return Motion(
-        joint_positions=positions,
-        skeleton=marker_skeleton(markers.names),
-        timegrid=TimeGrid(fps, len(positions)),
-        sequence_id=path.stem,
-        provenance=source_file.provenance(
-            path, data, "c3d", log, subject=subjects[0] if len(subjects) == 1 else "", stated_fps=f"POINT:RATE {rate:g}"
-        ),
+    subject, skeleton = subjects[0] if len(subjects) == 1 else "", marker_skeleton(markers.names)
+    return source_file.motion_of(
+        path, data, "c3d", skeleton, fps, log, positions=positions, subject=subject, stated_fps=f"POINT:RATE {rate:g}"
     )
 
 
-def _stated_fps(rate: float, path: Path) -> Fraction:
+def _stated_fps(rate: float | str, name: str, path: Path) -> Fraction:
     try:
         return parse_fps(float(rate))
     except ValueError as error:
-        raise FormatError(f"POINT:RATE {rate:g} ({error}); give --fps", path=path, reason="frame-time") from None
+        raise FormatError(f"{name} {rate}: {error}; give --fps", path=path, reason="frame-time") from None
 
 
 def _labelled(file: C3dFile, path: Path) -> Markers:
@@ -366,8 +322,8 @@ def _cut_off(path: Path) -> FormatError:
 
 
 def numbers_of(parameters: Mapping[str, Parameter], name: str) -> tuple[float, ...]:
-    """A parameter's numbers; empty if there are none."""
-    return tuple(value for value in parameters.get(name, ()) if not isinstance(value, str))
+    """A parameter's finite numbers; empty if there are none."""
+    return tuple(each for each in parameters.get(name, ()) if not isinstance(each, str) and np.isfinite(each))
 
 
 def _points(
@@ -405,30 +361,25 @@ def _points(
 
 def _num_frames(first_frame: int, last_frame: int, parameters: Mapping[str, Parameter]) -> int:
     """The header's words hold frames up to 65,535; longer takes state them in parameters, as two words or a number."""
-    whole = {
-        name: [int(value) for value in numbers_of(parameters, name) if np.isfinite(value)]
-        for name in ("TRIAL:ACTUAL_START_FIELD", "TRIAL:ACTUAL_END_FIELD", "POINT:LONG_FRAMES", "POINT:FRAMES")
-    }
-    start, end = whole["TRIAL:ACTUAL_START_FIELD"], whole["TRIAL:ACTUAL_END_FIELD"]
+    start, end = (numbers_of(parameters, f"TRIAL:ACTUAL_{name}_FIELD") for name in ("START", "END"))
     if len(start) == len(end) == 2:
-        first, last = (low % 65536 + 65536 * (high % 65536) for low, high in (start, end))
+        first, last = (int(low) % 65536 + 65536 * (int(high) % 65536) for low, high in (start, end))
         return last - first + 1
     stated = last_frame - first_frame + 1
     if last_frame < MAX_FRAME_WORD:
         return stated
-    return max(stated, *whole["POINT:LONG_FRAMES"], *whole["POINT:FRAMES"], 0)
+    return int(max(stated, *numbers_of(parameters, "POINT:LONG_FRAMES"), *numbers_of(parameters, "POINT:FRAMES")))
 
 
 # TRC
 
 
-def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_trc(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one table as positions in metres, y up, with gaps treated as in C3D; raises `FormatError`.
 
     If the markers are joints by their names, up is inferred from the body (`body_frame.infer_up`: y, z or −y); else it
     is y, as in OpenSim.
     """
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     lines = source_file.decode(data, path).splitlines()
     # Spreadsheets write commas: between columns, or in numbers where tabs are between them.
@@ -441,23 +392,21 @@ def read_trc(path: Path, options: ReadOptions | None = None) -> Motion:
         message = f"the file ends after {len(table)} frames, expected {stated['NumFrames'][:20]}"
         raise FormatError(message, path=path, reason="truncated", line=len(lines), frame=len(table))
     rate = stated.get("DataRate", "")
-    fps, log = source_file.fps_in_use(options.fps, lambda: _stated_trc_fps(rate, table[:, 1], path), words=rate[:20])
+
+    def stated_fps() -> Fraction:
+        return source_file.grid_of_seconds(table[:, 1], path, _stated_fps(rate, "DataRate", path)).fps
+
+    fps, log = source_file.fps_in_use(options.fps, stated_fps, words=rate[:20])
     points = table[:, 2:].reshape(len(table), len(names), 3)
     points[~points.any(axis=-1) | np.isnan(points).any(axis=-1)] = np.nan
     unique, renamed = source_file.unique_names(names)
     markers = without_gaps(Markers(unique, points, renamed), fps, path)
     unit, why = unit_of(stated.get("Units", ""), "Units", options.unit_metres, path)
-    positions = checked_metres(markers, markers.positions * unit, path)
+    positions = npy.checked_numbers(markers.positions * unit, path)
     skeleton = with_layout_map(marker_skeleton(markers.names), options.skeleton_maps)
     positions, turned = upright(skeleton, positions, options.up)
     log += [*markers.operations, f"lengths × {unit:g} to metres ({why})", *turned]
-    return Motion(
-        positions,
-        skeleton,
-        TimeGrid(fps, len(positions)),
-        sequence_id=path.stem,
-        provenance=source_file.provenance(path, data, "trc", log, stated_fps=rate[:20]),
-    )
+    return source_file.motion_of(path, data, "trc", skeleton, fps, log, positions=positions, stated_fps=rate[:20])
 
 
 def _header(lines: list[str], path: Path) -> tuple[dict[str, str], list[str]]:
@@ -492,14 +441,6 @@ def _table(lines: list[str], num_columns: int, path: Path) -> Float64[np.ndarray
     if not rows:
         raise FormatError("0 frames, expected at least one row below the header", path=path, reason="no-frames")
     return np.array(rows)
-
-
-def _stated_trc_fps(rate: str, seconds: Float64[np.ndarray, "frames"], path: Path) -> Fraction:
-    try:
-        fps = parse_fps(float(rate))
-    except ValueError as error:
-        raise FormatError(f"DataRate: {error}; give --fps", path=path, reason="frame-time", line=3) from None
-    return source_file.grid_of_seconds(seconds, path, fps).fps
 
 
 C3D_FORMAT = Format(name="c3d", read=of_path(read_c3d), suffixes=(".c3d",), turns_up=True)

@@ -260,6 +260,10 @@ class _DType:
         if min(shape, default=0) < 0 or not isinstance(content, expected) or len(content) != size:
             raise PickleError(f"an array of shape {shape} whose content is not {size} long"[:120])
 
+    def value(self, content: bytes) -> Any:
+        self.check(content, ())
+        return np.frombuffer(content, self.dtype).item()
+
 
 class _Array(np.ndarray):
     def __setstate__(self, state: Any) -> None:
@@ -268,32 +272,13 @@ class _Array(np.ndarray):
         super().__setstate__((1, shape, kind.dtype, column_major, content))
 
 
-def _dtype(code: Any, *options: object) -> _DType:
-    return _DType(code)
-
-
-def _empty_array(*arguments: object) -> _Array:
-    return np.ndarray.__new__(_Array, 0)
-
-
-def _scalar(kind: _DType, content: bytes) -> Any:
-    kind.check(content, ())
-    return np.frombuffer(content, kind.dtype).item()
-
-
-def _latin1(text: Any, encoding: object) -> bytes:
-    if encoding != "latin1":
-        raise PickleError("bytes in another encoding than numpy's")
-    return str.encode(text, "latin1")
-
-
 class _Unpickler(pickle._Unpickler):  # the one in Python: in C, a memo's index can take all memory
     constructors: ClassVar[dict[str, Any]] = {
-        "numpy._core.multiarray._reconstruct": _empty_array,
-        "numpy._core.multiarray.scalar": _scalar,
+        "numpy._core.multiarray._reconstruct": lambda *arguments: np.ndarray.__new__(_Array, 0),
+        "numpy._core.multiarray.scalar": lambda kind, content: kind.value(content),
         "numpy.ndarray": None,  # an argument of _reconstruct
-        "numpy.dtype": _dtype,
-        "_codecs.encode": _latin1,
+        "numpy.dtype": lambda code, *options: _DType(code),
+        "_codecs.encode": lambda text, encoding: str.encode(text, "latin1"),  # the encoding of numpy's bytes
     }
     dispatch: ClassVar[dict[int, Any]] = {**pickle._Unpickler.dispatch}
     del dispatch[pickle.BYTEARRAY8[0]]  # which allocates before it reads; numpy writes protocol 4

@@ -8,8 +8,8 @@ or `time_seconds` [T], evenly spaced; all that are present must agree. Everythin
 reading a motion is lossless.
 """
 
-import hashlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from motionkit.core.errors import FormatError, MotionkitError
-from motionkit.core.motion import Caption, Motion, Provenance
+from motionkit.core.motion import Caption, Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import STANDARD_SKELETONS, Feet, Skeleton
 from motionkit.core.skeletons.mapping import parse_layout_map, rig_name
@@ -79,9 +79,6 @@ def read_skeleton(archive: npy.Archive, joint_positions: Float32[np.ndarray, "fr
     try:
         if layout_map:
             parse_layout_map(layout_map)
-    except MotionkitError as error:
-        raise FormatError(str(error), path=path, reason="skeleton-map") from None
-    try:
         parents = (-1, *(0,) * (num_joints - 1))
         if "parents" in archive:
             parents = tuple(joints("parents", (num_joints,), -1))
@@ -100,7 +97,7 @@ def read_skeleton(archive: npy.Archive, joint_positions: Float32[np.ndarray, "fr
             end_sites=tuple((joint, (x, y, z)) for joint, (x, y, z) in zip(tips, tip_offsets, strict=True)),
             layout_map=layout_map,
         )
-    except ValueError as error:
+    except (ValueError, MotionkitError) as error:
         raise FormatError(str(error), path=path, reason="bones") from None
 
 
@@ -114,18 +111,20 @@ def accepts(head: FileHead) -> bool:
     return not head.array_names or "joint_positions" in head.array_names
 
 
-def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_npz(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one motion; lengths are multiplied by `options.unit_metres`, `options.fps` replaces the clock's framerate.
 
     Raises `FormatError`, with the reason `no-framerate` if there is no clock and `frame-time` for uneven time stamps.
     """
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     archive = npy.open_archive(path, data)
     fill = options.fill_missing
     positions = archive.numbers("joint_positions", (None, None, 3), fill_missing=fill)
     num_frames, num_joints, _ = positions.shape
-    grid, stated_fps, operations = _clock(archive, num_frames, options)
+    grid, stated_fps, log = _clock(archive, num_frames, options)
+    operations = (*archive.strings("operations"), *log)
+    source = source_file.provenance(path, data, "npz", operations, stated_fps=stated_fps)
+    texts: dict[str, Any] = {name: archive.text(name) for name in PROVENANCE}
     rotations = root = None
     if "local_rotations" in archive:
         rotations = archive.numbers("local_rotations", (num_frames, num_joints, 4), fill_missing=fill)
@@ -147,14 +146,7 @@ def read_npz(path: Path, options: ReadOptions | None = None) -> Motion:
         style=archive.text("style"),
         split=archive.text("split"),
         sequence_id=archive.text("sequence_id") or path.stem,
-        provenance=Provenance(
-            **{name: archive.text(name) for name in PROVENANCE},
-            source_path=path.name,
-            source_sha256=hashlib.sha256(data).hexdigest(),
-            source_format="npz",
-            stated_fps=stated_fps,
-            operations=(*archive.strings("operations"), *operations),
-        ),
+        provenance=replace(source, **texts),
     )
     return in_metres(motion, options.unit_metres)
 
@@ -204,23 +196,22 @@ def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
 
 def _clock(archive: npy.Archive, num_frames: int, options: ReadOptions) -> tuple[TimeGrid, str, list[str]]:
     """The grid in use, the framerate as the source stated it, and the log's lines."""
+    path, stated, words, start = archive.path, None, "", 0.0
+    seconds = archive.exact("time_seconds", (num_frames,)) if "time_seconds" in archive else None
+    if seconds is not None and np.isfinite(seconds[0]):
+        start = float(seconds[0])
     try:
         stated, words = _stated_fps(archive)
+        if seconds is not None:
+            stated = source_file.grid_of_seconds(seconds, path, stated).fps
+            words = words or f"time_seconds: {stated}"
     except FormatError:
         if options.fps is None:
             raise
-        stated, words = None, ""
-    start = 0.0
-    if "time_seconds" in archive:
-        seconds = archive.exact("time_seconds", (num_frames,))
-        start = float(seconds[0]) if np.isfinite(seconds[0]) else 0.0
-        if options.fps is None:
-            stated = source_file.grid_of_seconds(seconds, archive.path, stated).fps
-            words = words or f"time_seconds: {stated}"
     fps = options.fps or stated
     if fps is None:
         message = "neither fps nor time_seconds says the framerate; add one, or use --fps"
-        raise FormatError(message, path=archive.path, reason="no-framerate")
+        raise FormatError(message, path=path, reason="no-framerate")
     words = archive.text("stated_fps") if "stated_fps" in archive else words
     return TimeGrid(fps, num_frames, start), words, source_file.replaced_fps(fps, stated)
 

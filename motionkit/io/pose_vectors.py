@@ -18,9 +18,8 @@ import numpy as np
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float32, Float64
+from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.core.timegrid import TimeGrid
 from motionkit.io import body_frame, humanml3d, joint_rotations, joints_npy, npy, source_file
 from motionkit.io.body_frame import upright
 from motionkit.io.humanml3d import LAYOUTS
@@ -36,7 +35,6 @@ JOINTS = SMPL22.num_joints
 # MotionStreamer's: path, yaw, positions, rotations.
 PATH, YAW = slice(0, 2), slice(2, 8)
 PLACES, TURNS = slice(8, 8 + 3 * JOINTS), slice(8 + 6 * JOINTS, 8 + 12 * JOINTS)
-SMALLEST_CROSS = 1e-6
 
 
 def width_of(head: FileHead) -> int:
@@ -99,8 +97,8 @@ def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
 def read_motionstreamer(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read MotionStreamer's vectors: positions in metres, y up, and SMPL's local rotations if they reproduce them.
 
-    Yaw and path are integrated from the first frame, so errors accumulate. Raises `FormatError` (`range`) for invalid
-    rotations and for normalised vectors.
+    Yaw and path are integrated from the first frame, so errors accumulate. Raises `FormatError` (`unit`) for normalised
+    vectors.
     """
     data = source_file.read_bytes(path)
     values = _rows(path, data, options).astype(np.float64)
@@ -111,7 +109,8 @@ def read_motionstreamer(path: Path, options: ReadOptions = ReadOptions()) -> Mot
     path_steps = np.concatenate((steps[:1], kinematics.quaternion_rotate(back[:-1], steps[1:])))
     relative = values[:, PLACES].reshape(len(values), JOINTS, 3)
     positions = kinematics.quaternion_rotate(back[:, None], relative) + np.cumsum(path_steps, axis=0)[:, None]
-    local = _matrices(values[:, TURNS].reshape(len(values), JOINTS, 2, 3), path)
+    # The rows of a matrix are the columns of its inverse.
+    local = np.asarray(kinematics.closest_rotations(values[:, TURNS]).swapaxes(-1, -2))
     local[:, 0] = kinematics.quaternion_to_matrix(back) @ local[:, 0]
     positions = positions.astype(np.float32) * np.float32(options.unit_metres or 1.0)
     motion = motion_of(path, data, positions, SMPL22, FPS, "motionstreamer", options)
@@ -121,17 +120,6 @@ def read_motionstreamer(path: Path, options: ReadOptions = ReadOptions()) -> Mot
 def _rows(path: Path, data: bytes, options: ReadOptions) -> Float32[np.ndarray, "frames numbers"]:
     values = npy.read_npy(path, data, None, fill_missing=options.fill_missing)
     return values.reshape(-1, values.shape[-1])
-
-
-def _matrices(rows: Float64[np.ndarray, "frames joints 2 3"], path: Path) -> Float64[np.ndarray, "frames joints 3 3"]:
-    """Rotation matrices from their first two rows; zero or parallel rows are refused."""
-    across = np.linalg.norm(np.cross(rows[..., 0, :], rows[..., 1, :]), axis=-1)
-    bad = (across < SMALLEST_CROSS).any(axis=1)
-    if bad.any():
-        message = "two rows of a rotation matrix were expected, these have no length or one direction"
-        raise FormatError(message, path=path, reason="range", frame=int(np.argmax(bad)))
-    # The rows of a matrix are the columns of its inverse.
-    return np.asarray(kinematics.closest_rotations(rows.reshape(len(rows), -1)).swapaxes(-1, -2))
 
 
 def motion_of(
@@ -152,12 +140,8 @@ def motion_of(
     stated = joints_npy.read_manifest(joints_npy.manifest_of(path)).fps or usual_fps
     fps = options.fps or stated
     lines = (*operations, *source_file.replaced_fps(fps, usual_fps, who="the data set"))
-    return Motion(
-        positions,
-        skeleton,
-        TimeGrid(fps, len(positions)),
-        sequence_id=path.stem,
-        provenance=source_file.provenance(path, data, source_format, lines, stated_fps=str(stated)),
+    return source_file.motion_of(
+        path, data, source_format, skeleton, fps, lines, positions=positions, stated_fps=str(stated)
     )
 
 

@@ -318,7 +318,7 @@ def recognise_folder(folder: Path, name: str = "auto") -> Format | None:
             if any(next(folder.glob(pattern), None) for pattern in each.holds):
                 yield reader_of(each.name)
 
-    kinds = (each for each in candidates() if name in ("auto", each.name) and each.claims is not None)
+    kinds = (each for each in candidates() if name in ("auto", each.name))
     return next((each for each in kinds if each.claims is not None and each.claims(folder)), None)
 
 

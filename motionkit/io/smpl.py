@@ -42,13 +42,12 @@ def accepts(head: FileHead) -> bool:
     return {ORIENT, POSE} <= head.array_names or WORLD in head.array_names
 
 
-def read_smpl(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_smpl(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one dictionary: true local rotations, positions in metres, y up (up is inferred from the body: y, z or −y).
 
     Without a body model the joints are those of SMPL's mean shape; hands and face are dropped. Raises `FormatError`,
     with the reason `no-framerate` if neither the file nor the options give one.
     """
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     archive = npy.open_archive(path, data)
     if WORLD in archive:
@@ -75,9 +74,8 @@ def read_smpl(path: Path, options: ReadOptions | None = None) -> Motion:
     return motion_of(rotations, translation, betas, fps, options, path, source)
 
 
-def read_motion_x(path: Path, options: ReadOptions | None = None) -> Motion:
+def read_motion_x(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one sequence of Motion-X at its 30 fps: the body's true local rotations; hands and face are dropped."""
-    options = options or ReadOptions()
     data = source_file.read_bytes(path)
     values = npy.read_npy(path, data, (None, WIDTH))
     rotations = _of_vectors(values[:, BODY_NUMBERS].reshape(len(values), -1, 3), path, "its first 66 numbers")

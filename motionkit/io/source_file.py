@@ -10,16 +10,21 @@ float64, so that no word becomes a Python object. A block that this fails to par
 import hashlib
 import re
 import stat
+import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
+from functools import cache
+from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.core.motion import Provenance
-from motionkit.core.shapes import Bool, Float64, Int64
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.shapes import Bool, Float32, Float64, Int64
+from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import TimeGrid, parse_fps
 
 MAX_BYTES = 4 << 30
@@ -65,6 +70,12 @@ def check_size(num_frames: int, num_joints: int, path: Path) -> None:
         raise FormatError(f"{message} (docs/formats.md, Long takes)", path=path, reason="too-large")
 
 
+@cache
+def shipped(path: str) -> dict[str, Any]:
+    """A TOML file of motionkit's own, by its path in the package."""
+    return tomllib.loads(resources.files("motionkit").joinpath(path).read_text(encoding="utf-8"))
+
+
 def unreadable(path: Path, error: OSError) -> FormatError:
     """The error of a file that cannot be opened or read."""
     link = f", a link to {path.readlink()}" if path.is_symlink() else ""
@@ -83,6 +94,29 @@ def provenance(
         stated_fps=stated_fps,
         operations=tuple(operations),
     )
+
+
+def motion_of(
+    path: Path,
+    data: bytes,
+    source_format: str,
+    skeleton: Skeleton,
+    fps: Fraction,
+    operations: Iterable[str],
+    *,
+    positions: Float32[np.ndarray, "frames joints 3"] | None = None,
+    rotations: Float32[np.ndarray, "frames joints 4"] | None = None,
+    root: Float32[np.ndarray, "frames 3"] | None = None,
+    stated_fps: str = "",
+    subject: str = "",
+) -> Motion:
+    """A motion read from a file's bytes: joint positions, or rotations and the root's translation, from time 0 on."""
+    if positions is None:
+        assert rotations is not None and root is not None
+        positions = kinematics.forward_kinematics(rotations, root, skeleton)
+    source = provenance(path, data, source_format, operations, stated_fps=stated_fps, subject=subject)
+    grid = TimeGrid(fps, len(positions))
+    return Motion(positions, skeleton, grid, rotations, root, sequence_id=path.stem, provenance=source)
 
 
 def decode(data: bytes, path: Path) -> str:
@@ -164,23 +198,17 @@ def grid_of_seconds(seconds: Float64[np.ndarray, "frames"], path: Path, fps: Fra
     def fault(message: str, frame: int) -> FormatError:
         return FormatError(message, path=path, reason="frame-time", frame=frame)
 
-    finite = np.isfinite(seconds)
-    if not finite.all():
-        raise fault("a time stamp is no number", int(np.argmin(finite)))
     if fps is None:
         if len(seconds) < 2:
             message = "one time stamp does not say a framerate; state fps, or use --fps"
             raise FormatError(message, path=path, reason="no-framerate")
-        step = float(seconds[-1] - seconds[0]) / (len(seconds) - 1)
-        if step <= 0:
-            raise fault("time stamps do not ascend", 0)
         try:
-            fps = parse_fps(1 / step)
-        except ValueError as error:
-            raise fault(str(error), 0) from None
+            fps = parse_fps(1 / (float(seconds[-1] - seconds[0]) / (len(seconds) - 1)))
+        except (ValueError, ZeroDivisionError) as error:
+            raise fault(f"time stamps from {seconds[0]:.6g} s to {seconds[-1]:.6g} s ({error})", 0) from None
     grid = TimeGrid(fps, len(seconds), float(seconds[0]))
     off = np.abs(grid.seconds() - seconds) * float(fps)
-    if off.max() > UNEVEN_FRAMES:
+    if not off.max() <= UNEVEN_FRAMES:  # also of nan
         steps = np.diff(seconds)
         frame = int(np.argmax(np.abs(steps - float(1 / fps)))) + 1
         what = f"comes {steps[frame - 1]:.6g} s after the one before, expected {float(1 / fps):.6g} s"

@@ -69,7 +69,7 @@ def write_style(folder: Path) -> Path:
 
 def write_motion_of_frames(folder: Path) -> Path:
     frame = [1 / 30, 0.0, 0.9, 0.0]
-    for size in humanoid3d().rotation_sizes:
+    for size in humanoid3d()[1]:
         frame += {4: [1.0, 0.0, 0.0, 0.0], 1: [0.0], 0: []}[size]
     (folder / "walk.txt").write_text(json.dumps({"Loop": "wrap", "Frames": [frame] * 4}))
     return folder / "walk.txt"

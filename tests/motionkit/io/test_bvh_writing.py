@@ -28,7 +28,6 @@ from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import parse_rules
 from motionkit.store.ingest import ingest
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, TWO_JOINTS, bvh_hierarchy, bvh_text, lafan1_text
-from tests.helpers.refusal import refusal
 from tests.motionkit.io.test_bvh import TAKES, along_z
 
 
@@ -107,7 +106,7 @@ def written(path: Path, text: str) -> Path:
 
 def completed(document: BvhDocument, path: Path, **options: Any) -> BvhDocument:
     """The document completed, written with its own lines and channels, and read again."""
-    seconds, frames = document.motion.timegrid.seconds(), np.flatnonzero(document.valid)
+    seconds, frames = document.motion.timegrid.seconds(), np.arange(document.motion.num_frames)
     observation = Observation(seconds[frames], document.poses.rows(frames), document.motion.skeleton)
     fps = options.pop("fps", document.motion.timegrid.fps)
     made = begin_completion(observation, (seconds[0], seconds[-1]), CUBIC, fps, **options)
@@ -144,19 +143,6 @@ def test_another_reader_sees_the_same_motion(tmp_path: Path) -> None:
     assert np.abs(np.sum(rotations * mine, axis=-1)).min() > 1 - 1e-6
     np.testing.assert_allclose(positions[:, 0] * document.unit_metres, made.poses.joint_positions[:, 0], atol=1e-5)
     np.testing.assert_allclose(offsets[1:] * document.unit_metres, made.motion.skeleton.offsets[1:], atol=1e-6)
-
-
-def test_frames_with_nan_are_made_like_a_gap(tmp_path: Path) -> None:
-    table = rows()
-    spoilt = np.array(table)
-    spoilt[5, 8] = np.nan
-    document = read_document(written(tmp_path / "in.bvh", bvh_text(spoilt.tolist())))
-    assert document.valid.tolist() == [frame != 5 for frame in range(12)]
-    made = completed(document, tmp_path / "out.bvh")
-    np.testing.assert_allclose(made.table[5], table[5], atol=1.0)
-    assert b"nan" not in made.lines[5] and made.lines[4] == document.lines[4]
-    empty = bvh_text([[np.nan] * NUM_BVH_CHANNELS for _ in table])
-    assert refusal(read_document, written(tmp_path / "none.bvh", empty)).reason == "nan"
 
 
 def test_a_t_pose_in_front_stays_in_front(tmp_path: Path) -> None:

@@ -185,7 +185,7 @@ REAL_FRAMERATES = {"16": 2, "24": 4, "30": 5, "60": 9, "120": 53}
 def standing(duration: float = 1 / 30) -> list[float]:
     """One frame: upright, the root at a height of 0.9 m."""
     frame = [duration, 0.0, 0.9, 0.0]
-    for size in humanoid3d().rotation_sizes:
+    for size in humanoid3d()[1]:
         frame += {4: [1.0, 0.0, 0.0, 0.0], 1: [0.0], 0: []}[size]
     return frame
 

@@ -184,12 +184,11 @@ PAIRS = b"]\x94" + b"".join(b"h" + bytes((level,)) + b"h" + bytes((level,)) + b"
         # A length that is not there, and a far place in the memo.
         b"\x8e" + struct.pack("<Q", 2**40) + b"a.",
         b"N" + b"r" + struct.pack("<I", 2**32 - 1),
-        # In place of a module's name, a type's code and an encoding.
+        # In place of a module's name and a type's code.
         PAIRS + b"\x8c\x04name\x93.",
         PAIRS + b"\x8c\x05numpy\x8c\x05dtype\x93h\x29\x85R.",
-        PAIRS + b"\x8c\x07_codecs\x8c\x06encode\x93\x8c\x01ah\x29\x86R.",
     ],
-    ids=range(8),
+    ids=range(7),
 )
 def test_what_numpy_or_pickle_would_trust(opcodes: bytes) -> None:
     tracemalloc.start()
