@@ -51,6 +51,10 @@ def report(
         if not found or run:
             raise UsageError("--samples-only shows results of 'motionkit eval --samples', without --run")
     printers = {"markdown": to_markdown, "latex": to_latex, "csv": to_csv}
+    if out is not None and (as_json or format in printers):
+        raise UsageError("--out is for html and png: JSON, Markdown, LaTeX and CSV go to stdout")
+    if (store or run) and (as_json or format != "html"):
+        raise UsageError("--store and --run are for the page, --format html")
     if as_json:
         print_json([asdict(result) for result in found])
     elif format in printers:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from motionkit.cli.console import AsJson, Up, print_json, progress, stderr, stdout
+from motionkit.cli.console import AsJson, Overwrite, Up, print_json, progress, stderr, stdout
 from motionkit.core.errors import UsageError, counted
-from motionkit.core.files import write_whole
+from motionkit.core.files import require_new, write_whole
 from motionkit.core.progress import task
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 def samples(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder, or file, of another system's motions.")],
     init: Annotated[bool, typer.Option("--init", help="Write DIR/samples.toml first, to be completed.")] = False,
+    overwrite: Overwrite = False,
     fps: Annotated[str | None, typer.Option(metavar="FPS", help="Framerate, where the files do not say it.")] = None,
     up: Up = None,
     as_json: AsJson = False,
@@ -34,7 +35,7 @@ def samples(
 
     framerate = framerates(fps, "--fps")[0] if fps else None
     if init:
-        _write_manifest(folder, {"fps": fps, "up": up})
+        _write_manifest(folder, {"fps": fps, "up": up}, overwrite)
     with progress() as show, task(show, "reading") as work:
         read = read_sample_folder(folder.name, folder, SampleOptions(framerate, up or ""), work.set)
     found = _summary(read)
@@ -46,13 +47,14 @@ def samples(
         raise SampleFolderError(f"left out of every table: {counted(len(read.left_out), 'motion')} of {str(folder)!r}")
 
 
-def _write_manifest(folder: Path, stated: Mapping[str, str | None]) -> None:
+def _write_manifest(folder: Path, stated: Mapping[str, str | None], overwrite: bool) -> None:
     """Write a new `samples.toml`: a template of explained comments, in which some keys are stated."""
     from eval.sample_folder.reading import MANIFEST
 
     path, text = folder / MANIFEST, (resources.files("eval.sample_folder") / MANIFEST).read_text(encoding="utf-8")
-    if not folder.is_dir() or path.exists():
-        raise UsageError(f"--init needs a folder without {MANIFEST}, and {str(folder)!r} is not one")
+    if not folder.is_dir():
+        raise UsageError(f"--init writes {MANIFEST} into a folder, and {str(folder)!r} is none")
+    require_new(path, overwrite=overwrite, instead="complete it, without --init")
     for key, value in stated.items():
         if value is not None:
             text = re.sub(rf"(?m)^# {key} = .*?(?=  #)", f'{key} = "{value}"', text)

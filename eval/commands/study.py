@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from eval.commands.eval import framerates, named_samples
-from motionkit.cli.console import AsJson, RunsFolder, print_json, print_table, progress, stderr, stdout
-from motionkit.core.errors import MotionkitError, counted
-from motionkit.core.files import default_path
+from motionkit.cli.console import AsJson, Overwrite, RunsFolder, print_json, print_table, progress, stderr, stdout
+from motionkit.core.errors import UsageError, counted
+from motionkit.core.files import default_path, require_new
 from motionkit.core.progress import task
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def make(
     seconds: Annotated[float, typer.Option(min=0.1, help="Longer motions are cut to their middle.")] = 10.0,
     seed: Annotated[int, typer.Option(min=0, help="Random seed of motions, sides and order.")] = 0,
     out: Annotated[Path, typer.Option(help="The page; the key lies beside it, NAME.key.json.")] = Path("study.html"),
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the page and the key if they exist.")] = False,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Write a page on which people choose between two motions, and the key that says whose they are.
@@ -52,9 +52,10 @@ def make(
     from motionkit.store import Store
 
     key = out.with_suffix(".key.json")
-    there = [path for path in (out, key) if path.exists()]
-    if there and not overwrite:
-        raise MotionkitError(f"{there[0]} exists: --overwrite replaces the page and its key, --out writes elsewhere")
+    for path in (out, key):
+        require_new(path, overwrite=overwrite, instead="--out writes elsewhere")
+    if model is not None and run is None:
+        raise UsageError("--model is one of a run's: give --run")
     folder = None if run is None else (runs or default_path("runs")) / run
     options = SampleOptions(framerates(samples_fps, "--samples-fps")[0] if samples_fps else None)
     rates, missing = framerates(fps, "--fps"), Missing()

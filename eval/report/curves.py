@@ -9,15 +9,19 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
+from matplotlib.text import Annotation
+from scipy.optimize import isotonic_regression
 
 from eval.report.results import Block, Result, card
 from motionkit.core.files import whole_file
 from motionkit.training.run import RunError, RunFolder
 
-# Okabe and Ito's palette, distinguishable with any colour vision: blue, vermillion, green, purple, orange, sky, grey.
-CURVE_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#5F5F5F")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+# Okabe and Ito's palette, distinguishable with any colour vision (blue, sky, green, purple, orange, vermillion, grey,
+# black), then Tol's indigo, wine, olive and teal.
+OKABE_ITO = ("#0072B2", "#56B4E9", "#009E73", "#CC79A7", "#E69F00", "#D55E00", "#7F7F7F", "#000000")
+CURVE_COLOURS = (*OKABE_ITO, "#332288", "#882255", "#999933", "#44AA99")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 FRAMERATE_LABEL = "framerate (frames per second)"
 # "120 fps", "×2.4", "15 frames", "λ = 0.5": prefix, number, unit.
 COLUMN = re.compile(r"(?P<before>×|\w+ = |)(?P<number>\d+(?:\.\d+)?)(?P<after> fps| frames|)")
@@ -50,17 +54,42 @@ class Panel:
 
 
 def curves_figure(panels: Sequence[Panel], width_inches: float = 12.0) -> Figure:
-    """Panels of curves only, at most three per line, with their legends below."""
-    columns = min(3, len(panels))
-    lines = -(-len(panels) // columns)
-    height_inches = 4.0 + 0.2 * max(len(panel.curves) for panel in panels)
+    """Panels of curves only, at most two per line."""
+    lines = -(-len(panels) // 2)
+    height_inches = max(4.2, 1.2 + 0.27 * max(len(panel.curves) for panel in panels))
     figure = Figure(figsize=(width_inches, height_inches * lines), layout="constrained")
-    places = figure.subplots(lines, columns, squeeze=False).ravel()
-    for axes, panel in zip(places, panels, strict=False):
-        _draw(axes, panel)
+    draw_panels(figure, panels)
+    return figure
+
+
+def draw_panels(figure: FigureBase, panels: Sequence[Panel]) -> None:
+    """Draw panels of curves, at most two per line, each curve with its name at its end."""
+    columns = min(2, len(panels))
+    places = np.ravel(figure.subplots(-(-len(panels) // columns), columns, squeeze=False))
+    names = [
+        _draw(axes, panel, colours) for axes, panel, colours in zip(places, panels, row_colours(panels), strict=False)
+    ]
     for unused in places[len(panels) :]:
         unused.set_visible(False)
-    return figure
+    figure.figure.draw_without_rendering()  # type: ignore[union-attr]
+    for axes, annotations in zip(places, names, strict=False):
+        _spread(axes, annotations)
+
+
+def row_colours(panels: Sequence[Panel]) -> list[dict[str, str]]:
+    """Each panel's colours by its rows' names: a row of one name, or of one system, has one colour in all panels."""
+    numbers: dict[str, int] = {}
+    colours = []
+    for panel in panels:
+        keys: dict[str, str] = {}
+        for curve in panel.curves:
+            # Of a system's several rows the first stands for it: "NeRM, local latents (ours)" for "NeRM".
+            system = re.split(r"[,(]", curve.label)[0].strip()
+            keys[curve.label] = curve.label if system in keys.values() else system
+        for key in keys.values():
+            numbers.setdefault(key, len(numbers))
+        colours.append({label: CURVE_COLOURS[numbers[key] % len(CURVE_COLOURS)] for label, key in keys.items()})
+    return colours
 
 
 def save(figure: Figure, path: Path) -> Path:
@@ -70,30 +99,57 @@ def save(figure: Figure, path: Path) -> Path:
     return path
 
 
-def _draw(axes: Axes, panel: Panel) -> None:
-    """Draw curves with shaded intervals; the axis is logarithmic if the values span more than a decade."""
+def _draw(axes: Axes, panel: Panel, colours: Mapping[str, str]) -> list[Annotation]:
+    """Draw curves with their intervals; the axis is logarithmic if the values span more than a decade.
+
+    Returns each curve's name, at the height of its end.
+    """
+    every = np.concatenate([np.array(curve.values) for curve in panel.curves])
+    ticks = sorted({place for curve in panel.curves for place in curve.places})
+    logarithmic = panel.is_training or (every.min() > 0.0 and every.max() > 10.0 * every.min())
+    drawn: list[Curve] = []
+    names = []
     for index, curve in enumerate(panel.curves):
         places, values, widths = (np.array(column) for column in (curve.places, curve.values, curve.half_widths))
-        colour, marker = CURVE_COLOURS[index % len(CURVE_COLOURS)], MARKERS[index % len(MARKERS)]
-        # Colours repeat after seven curves; the next seven are dashed.
-        style = "-" if index < len(CURVE_COLOURS) else "--"
-        lines = axes.plot(places, values, style, color=colour, linewidth=1.6, label=fill(curve.label, 40))
+        colour = colours[curve.label]
+        # Dashes show the curve below one that is the same to a few per cent, and are another style for a used colour.
+        hides = any(each.places == curve.places and np.allclose(each.values, values, 0.08) for each in drawn)
+        style = (0, (4, 3)) if hides or colour in {colours[each.label] for each in drawn} else "-"
+        axes.plot(places, values, linestyle=style, color=colour, linewidth=1.8, label=curve.label)
+        drawn.append(curve)
         if not panel.is_training:
-            lines[0].set(marker=marker, markersize=4.5)
-            low = np.maximum(values - widths, 1e-2 * values)
-            axes.fill_between(places, low, values + widths, color=colour, alpha=0.18, linewidth=0)
-    every = np.concatenate([np.array(curve.values) for curve in panel.curves])
-    if panel.is_training or (every.min() > 0.0 and every.max() > 10.0 * every.min()):
+            axes.plot(places, values, MARKERS[index % len(MARKERS)], color=colour, markersize=4.5)
+            beside = places + (index - len(panel.curves) / 2) * 0.006 * (ticks[-1] - ticks[0])
+            axes.errorbar(beside, values, widths, fmt="none", ecolor=colour, elinewidth=0.8, alpha=0.5)
+        at_end = {"xy": (places[-1], values[-1]), "xytext": (1.04, 0.5), "textcoords": "axes fraction"}
+        line = {"arrowstyle": "-", "color": colour, "linewidth": 0.6, "shrinkA": 1.0, "relpos": (0.0, 0.5)}
+        text = fill(curve.label, 28)
+        names.append(axes.annotate(text, **at_end, arrowprops=line, color=colour, fontsize=8, va="center"))
+    if logarithmic:
         axes.set_yscale("log")
+        # An interval down to zero ends at the axis.
+        axes.set_ylim(0.7 * every[every > 0.0].min(), 1.4 * every.max())
     elif panel.from_zero:
         axes.set_ylim(bottom=0.0)
     if not panel.is_training:
-        ticks = sorted({place for curve in panel.curves for place in curve.places})
         axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     _label(axes, panel.title, panel.x_label, panel.y_label)
     axes.grid(axis="y", color="#E4E4E4", linewidth=0.7)
-    columns = 2 if max(len(curve.label) for curve in panel.curves) <= 20 else 1
-    axes.legend(fontsize=7.5, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=columns)
+    return names
+
+
+def _spread(axes: Axes, names: Sequence[Annotation]) -> None:
+    """Move names as little as they need not to overlap, from lowest to highest end, and into the axes if they fit."""
+    line = 11.5 * axes.figure.dpi / 72.0 / axes.bbox.height
+    heights = {name: float(axes.transAxes.inverted().transform(axes.transData.transform(name.xy))[1]) for name in names}
+    ordered = sorted(names, key=lambda name: heights[name])
+    sizes = np.array([line * (1.2 + name.get_text().count("\n")) for name in ordered])
+    middles = np.cumsum(sizes) - sizes / 2
+    # The distances from the nearest places without overlaps: the least squares of a sequence that must not fall.
+    shifts = isotonic_regression(np.array([heights[name] for name in ordered]) - middles).x
+    shifts = np.clip(shifts, 0.0, max(0.0, 1.0 - sizes.sum()))
+    for name, middle in zip(ordered, middles + shifts, strict=True):
+        name.set_position((1.04, middle))
 
 
 def _label(axes: Axes, title: str, x_label: str, y_label: str) -> None:
@@ -165,7 +221,7 @@ def cost_figure(result: Result, width_inches: float = 6.4) -> Figure | None:
     axes = figure.subplots()
     axes.errorbar(x, y, half_widths, color=CURVE_COLOURS[0], marker="o", markersize=4.5, capsize=2.0)
     small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7.5}
-    grey = CURVE_COLOURS[-1]
+    grey = CURVE_COLOURS[6]
     for name, cells in rows.items():
         level = cells[quality].value
         if name in points:

@@ -39,7 +39,7 @@ FileFormat = Annotated[
     Literal["bvh", "csv", "glb", "npz"] | None,
     typer.Option("--format", help="Format of the files.", show_default="--out's, or the clip's own"),
 ]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what an earlier call wrote there.")]
 SourceFps = Annotated[
     str | None, typer.Option(help="Framerate of clips whose files state none or a wrong one (.amc, .npy).")
 ]

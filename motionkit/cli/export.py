@@ -8,7 +8,18 @@ from typing import Annotated
 
 import typer
 
-from motionkit.cli.console import AsJson, Onto, Where, parse_rate, print_json, progress, read_options, stderr, stdout
+from motionkit.cli.console import (
+    AsJson,
+    Onto,
+    Overwrite,
+    Where,
+    parse_rate,
+    print_json,
+    progress,
+    read_options,
+    stderr,
+    stdout,
+)
 from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
@@ -18,7 +29,7 @@ SHOWN_LEFT_OUT = 20
 
 
 def export(
-    out: Annotated[Path, typer.Argument(help="New or empty folder.", show_default=False)],
+    out: Annotated[Path, typer.Argument(help="Folder to write.", show_default=False)],
     format: Annotated[str | None, typer.Option(help=f"{FORMATS}.", show_default="bvh")] = None,
     store: Annotated[Path | None, typer.Option(help="Store to export from.", show_default="./store")] = None,
     where: Where = None,
@@ -33,6 +44,7 @@ def export(
     skeleton_map: Annotated[
         list[Path] | None, typer.Option(help="With --onto: TOML that says how its rig becomes the 22 joints.")
     ] = None,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Write a store's motions as files for other tools, which `motionkit ingest` reads again.
@@ -62,7 +74,7 @@ def export(
     opened = Store.open(store or default_path("store"))
     selection = exports.Selection(opened, opened.select_some(where), rate or kind.fps)
     with progress() as show, task(show, "export", len(selection.indices)) as work:
-        report = exports.export(selection, out, kind, on_outcome=lambda outcome: work.advance())
+        report = exports.export(selection, out, kind, lambda outcome: work.advance(), overwrite=overwrite)
     for outcome in report.left_out[:SHOWN_LEFT_OUT]:
         stderr.print(f"left out {outcome.sequence_id}: {outcome.message}")
     if len(report.left_out) > SHOWN_LEFT_OUT:

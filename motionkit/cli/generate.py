@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from motionkit.cli.console import AsJson, RunsFolder, parse_rate, print_json, progress, stderr, stdout
+from motionkit.cli.console import AsJson, Overwrite, RunsFolder, parse_rate, print_json, progress, stderr, stdout
 from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import is_store
 from motionkit.core.progress import task
@@ -69,7 +69,7 @@ def generate(
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped call.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier call's files.")] = False,
+    overwrite: Overwrite = False,
     model: Annotated[
         str | None, typer.Option(help="Installed model.", show_default="the one that the run holds")
     ] = None,

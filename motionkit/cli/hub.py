@@ -9,7 +9,7 @@ import typer
 
 from motionkit.cli.console import AsJson, Overwrite, RunsFolder, print_json, progress, stdout
 from motionkit.core.errors import StoreError, UsageError, counted
-from motionkit.core.files import default_path, require_empty, whole_folder, write_whole
+from motionkit.core.files import default_path, is_store, require_new, whole_folder, write_whole
 from motionkit.core.progress import task
 
 if TYPE_CHECKING:
@@ -134,6 +134,10 @@ def _require_intact(store: Path, hint: str) -> None:
         raise StoreError(f"{store} is damaged ({fault}): {hint}")
 
 
+def _is_run(folder: Path) -> bool:
+    return any(folder.glob("*/config.json"))
+
+
 def _complete_stages(run: Path) -> "list[StageFolder]":
     """The complete stages of a run after verifying them, by name; raises `DamagedFileError`."""
     from motionkit.training.run import RunFolder
@@ -152,9 +156,10 @@ def pull(
             show_default=False,
         ),
     ],
-    store: Annotated[Path | None, typer.Option(help="New folder for the store.", show_default="./store")] = None,
+    store: Annotated[Path | None, typer.Option(help="Folder for the store.", show_default="./store")] = None,
     run: Annotated[str | None, typer.Option(help="Name of the run here; the repository's by default.")] = None,
     runs: RunsFolder = None,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Pull a store, or a run, from a repository of the Hugging Face Hub into a new folder.
@@ -172,7 +177,7 @@ def pull(
         if run is not None:
             raise UsageError(f"{address} is a store: --run is for runs, hf://OWNER/NAME")
         folder = store or default_path("store")
-        require_empty(folder)
+        require_new(folder, overwrite=overwrite, replaced=is_store, instead="--store pulls elsewhere")
         source = hub.fetch_store(repository)
         with whole_folder(folder.absolute()) as partial:
             copytree(source, partial, dirs_exist_ok=True)
@@ -181,7 +186,7 @@ def pull(
         if store is not None:
             raise UsageError(f"{address} is a run: --store is for stores, hf://datasets/OWNER/NAME")
         folder = (runs or default_path("runs")) / (run or repository.id.partition("/")[2])
-        require_empty(folder)
+        require_new(folder, overwrite=overwrite, replaced=_is_run, instead="--run NAME keeps both")
         with whole_folder(folder.absolute()) as partial:
             names = [path.name for path in StageFolder(partial).result_paths]
             for summary in hub.fetch(repository, [f"*/{name}" for name in names]).glob("*/summary.json"):

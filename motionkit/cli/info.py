@@ -73,14 +73,14 @@ def _print_lines(lines: Iterable[str]) -> None:
 
 def _show_file(path: Path, up: str | None, init: Path | None, as_json: bool, *, overwrite: bool) -> None:
     from motionkit.core.errors import FormatError
-    from motionkit.core.files import write_whole
+    from motionkit.core.files import require_new, write_whole
     from motionkit.core.skeletons.mapping import draft_map
     from motionkit.io.files import read_all
     from motionkit.io.scan import NO_FRAMERATE
     from motionkit.store.reports import describe_motion
 
-    if init is not None and init.exists() and not overwrite:
-        raise UsageError(f"{init} exists: --overwrite replaces it")
+    if init is not None:
+        require_new(init, overwrite=overwrite, instead="name another file")
     has_framerate = True
     try:
         motion = next(read_all(path, up=up))

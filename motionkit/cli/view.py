@@ -23,8 +23,8 @@ from motionkit.cli.console import (
     stderr,
     stdout,
 )
-from motionkit.core.errors import MotionkitError, UsageError, counted
-from motionkit.core.files import default_path
+from motionkit.core.errors import UsageError, counted
+from motionkit.core.files import default_path, require_new
 from motionkit.core.progress import task
 from motionkit.viz import MOST_MOTIONS
 
@@ -83,10 +83,10 @@ def view(
     from motionkit.viz.view import PAGE_SUFFIX, Interval, page_path, read_panels, spread, write_view
 
     if page_file is not None:
-        if (from_seconds, to_seconds, film_format, out, speed) != (None,) * 5:
-            raise UsageError(
-                "--page shows whole sequences of a store: --from, --to, --format, --out, --speed do not go with it"
-            )
+        others = {"from": from_seconds, "to": to_seconds, "fps": fps, "unit-metres": unit_metres, "up": up}
+        others |= {"format": film_format, "skeleton-map": skeleton_map, "out": out, "speed": speed}
+        if ignored := [f"--{name}" for name, value in others.items() if value]:
+            raise UsageError(f"--page shows a store's sequences whole and as they are: leave out {', '.join(ignored)}")
         _write_cards(page_file, clips or [], store, where, overwrite=overwrite, open_page=open_page, as_json=as_json)
         return
     interval = Interval(from_seconds, to_seconds)
@@ -105,8 +105,8 @@ def view(
         stderr.print(f"motionkit: {limit} of {counted(len(sources), 'motion')} are shown, {which}: --limit shows more")
         sources = spread(sources, limit)
     page = page_path(out, sources, film or PAGE_SUFFIX) if sources else Path()
-    if sources and page.exists() and not overwrite:
-        raise MotionkitError(f"{page} exists: --overwrite replaces it, --out writes elsewhere")
+    if sources:
+        require_new(page, overwrite=overwrite, instead="--out writes elsewhere")
     with progress() as show, task(show, "read", len(sources)) as work:
         panels, failed = read_panels(sources, interval, work.advance)
     failures = [*((str(problem.path), str(problem)) for problem in problems), *failed]
@@ -160,8 +160,7 @@ def _write_cards(
     path = named_store(Path(names[0]) if names else None, store) or default_path("store")
     opened = Store.open(path)
     indices = opened.select_some(where)
-    if page.exists() and not overwrite:
-        raise MotionkitError(f"{page} exists: --overwrite replaces it")
+    require_new(page, overwrite=overwrite, instead="name another file")
     with progress() as show:
         failures = write_corpus_page(page, opened, indices, show)
     print_failures(failures)

@@ -15,7 +15,7 @@ import shutil
 import signal
 import threading
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -219,12 +219,18 @@ def read_record(folder: Path, hint: str) -> dict[str, str]:
     return {match[2]: match[1] for match in matches if match}
 
 
-def require_empty(folder: Path) -> None:
-    """Raise `UsageError` for a folder that is not empty, or a file."""
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"{folder} is a file: name a new folder")
-    if folder.exists() and any(folder.iterdir()):
-        raise UsageError(f"{folder} is not empty: name a new folder")
+def require_new(path: Path, *, overwrite: bool, replaced: Callable[[Path], bool] = Path.is_file, instead: str) -> None:
+    """Raise `UsageError` for a path that exists, unless `overwrite`; `instead` says how to write elsewhere.
+
+    An empty folder is new. Also with `overwrite` only what satisfies `replaced` may be there: a file, or a folder that
+    the same command wrote.
+    """
+    if not path.exists() or (path.is_dir() and not any(path.iterdir())):
+        return
+    if not replaced(path):
+        raise UsageError(f"{path} exists and is not what this command writes: {instead}")
+    if not overwrite:
+        raise UsageError(f"{path} exists: --overwrite replaces it, {instead}")
 
 
 def remove_entry(path: Path) -> None:
@@ -237,24 +243,29 @@ def remove_entry(path: Path) -> None:
 
 @contextmanager
 def whole_folder(path: Path) -> Iterator[Path]:
-    """Yield an empty folder that becomes `path`, which must be absent or empty, when the block ends without an error.
+    """Yield an empty folder that takes the place of `path` when the block ends without an error.
 
     It lies in `NAME.partial` beside `path`, which is locked; what a killed process left there is deleted by the next
     one. Raises `BusyError` if another process writes the same folder.
     """
     partial = path.with_name(f"{path.name}.partial")
     with locked_folder(partial, busy=f"another process is writing {partial}: wait for it, or name another folder"):
-        content = partial / path.name
+        content, former = partial / path.name, partial / f"{path.name}.former"
         remove_entry(content)
         content.mkdir()
         try:
             with naming(path):
                 yield content
-            content.rename(path)
+            with defer_signals():
+                if path.exists():
+                    path.rename(former)
+                content.rename(path)
             sync(path.parent)
         finally:
             # Also after Ctrl-C, since a partial folder would look complete.
             remove_entry(content)
+            if path.exists():
+                remove_entry(former)
 
 
 @contextmanager

@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 
 from motionkit.core.errors import MotionkitError, UsageError, counted, markdown_text
-from motionkit.core.files import naming, require_empty, whole_folder, write_json
+from motionkit.core.files import is_store, naming, require_new, whole_folder, write_json
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.shapes import Int64
 from motionkit.core.skeleton import SMPL22
@@ -324,13 +324,28 @@ class ExportReport:
     left_out: tuple[Outcome, ...]
 
 
+def is_export(folder: Path) -> bool:
+    """Whether a folder is an earlier export: it has our table of motions, or is a store with its card."""
+    if is_store(folder):
+        return (folder / "README.md").is_file()
+    table = folder / TABLE
+    return table.is_file() and table.read_bytes().startswith(",".join(COLUMNS).encode() + b"\n")
+
+
 def export(
-    selection: Selection, folder: Path, kind: Export, on_outcome: Callable[[Outcome], None] = lambda outcome: None
+    selection: Selection,
+    folder: Path,
+    kind: Export,
+    on_outcome: Callable[[Outcome], None] = lambda outcome: None,
+    *,
+    overwrite: bool = False,
 ) -> ExportReport:
-    """Write a selection in one format into a new or empty folder; `on_outcome` is called for each sequence.
+    """Write a selection in one format into a new or empty folder, or with `overwrite` in place of an earlier export.
+
+    `on_outcome` is called for each sequence.
 
     Everything is written into `FOLDER.partial`, which is renamed when complete and deleted on errors (`whole_folder`).
-    Raises `UsageError` for a folder that is not empty, `BusyError` for one that another process writes,
+    Raises `UsageError` for another folder that is not empty, `BusyError` for one that another process writes,
     `MotionkitError` if nothing could be written.
     """
     left_out: list[Outcome] = []
@@ -338,7 +353,7 @@ def export(
     # A link to an empty folder is filled where it points.
     with whole_folder(folder.resolve() if folder.is_symlink() else folder.absolute()) as partial_folder:
         # Under the lock, after leftovers of a killed export are deleted.
-        require_empty(folder)
+        require_new(folder, overwrite=overwrite, replaced=is_export, instead="name a new folder")
         for outcome in kind.write(selection, partial_folder):
             if outcome.reason:
                 left_out.append(outcome)

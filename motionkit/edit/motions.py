@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from motionkit.core.errors import FormatError, MotionkitError, StoreError, UsageError
-from motionkit.core.files import is_store, write_json
+from motionkit.core.files import is_store, require_new, write_json
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
 from motionkit.core.skeleton import STANDARD_SKELETONS
@@ -111,7 +111,7 @@ def find_motions(
     """The motions of files, folders, stores and ids of `store`, and of `store` those that satisfy the SQL `where`.
 
     The second list has the problems of files that cannot be read. Raises `UsageError` for a name that is none of these,
-    and for a condition that no sequence satisfies.
+    for a condition that no sequence satisfies, and for options of files where none is named.
     """
     sources: list[MotionSource] = []
     problems: list[FormatError] = []
@@ -136,6 +136,9 @@ def find_motions(
             sources.append(_of_store(name, opened()))
     if where is not None:
         sources += _stored(opened(), where)
+    has_files = any(Path(name).exists() and not is_store(Path(name)) for name in names)
+    if not has_files and replace(options, skip_derived=False) != ReadOptions():
+        raise UsageError("a framerate, unit, axis or skeleton map is for files: stored sequences have theirs")
     return sources, problems
 
 
@@ -299,6 +302,5 @@ class OutputPaths:
         other = self._source_of.setdefault(path.absolute(), source.name)
         if other != source.name:
             raise MotionkitError(f"its result would be {path}, as that of {other}: name them one by one with --out")
-        if path.exists() and not self._overwrite:
-            raise MotionkitError(f"{path} exists: --overwrite replaces it, --out writes elsewhere")
+        require_new(path, overwrite=self._overwrite, instead="--out writes elsewhere")
         return path

@@ -310,7 +310,7 @@ def _check_target(path: Path, *, must_exist: bool, must_not_exist: bool) -> None
     if must_exist and not is_store:
         read_manifest(path)
     if must_not_exist and is_store:
-        raise StoreError(f"there already is a store at {path}: append to it, or overwrite it on purpose")
+        raise StoreError(f"{path} is a store already: StoreWriter.append adds to it, overwrite=True replaces it")
     if not is_store and path.exists():
         ours = {MOTIONS_FOLDER, LOCK_FILE, *(name + PENDING for name in (*TABLES, MANIFEST_FILE))}
         foreign = sorted(entry.name for entry in path.iterdir() if entry.name not in ours)

@@ -3,7 +3,7 @@
 Motions are not resampled: a picture shows each motion's most recent frame on a common clock.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.animation import FFMpegWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from PIL import Image
 
 from motionkit.core.errors import MissingExtraError, MotionkitError
@@ -89,7 +89,15 @@ def write_film(
 class _Scene:
     """The axes of one motion, seen by a camera that follows the body and keeps every pose inside."""
 
-    def __init__(self, figure: Figure, panel: Panel, grid: tuple[int, int], number: int, titled: bool = True) -> None:
+    def __init__(
+        self,
+        figure: FigureBase,
+        panel: Panel,
+        grid: tuple[int, int],
+        number: int,
+        titled: bool = True,
+        colours: Mapping[int, str] = COLOURS,
+    ) -> None:
         drawing = drawing_of(panel.skeleton, panel.joint_positions)
         yaw, level, above = drawing.yaw + ASIDE_RADIANS, np.cos(ABOVE_RADIANS), np.sin(ABOVE_RADIANS)
         right = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
@@ -108,16 +116,18 @@ class _Scene:
         axes.set(xlim=(-reach, reach), ylim=(-reach, reach))
         axes.set_axis_off()
         bones = [(joint, parent) for joint, parent in enumerate(drawing.bones) if parent >= 0]
-        colours = [COLOURS[drawing.sides[joint]] for joint, _ in bones]
         self._bones = np.array(bones, np.int64).reshape(-1, 2)
         self._ground = LineCollection([], colors="#d8d8d8", linewidths=0.8)
-        self._body = LineCollection([], colors=colours, linewidths=2.5, capstyle="round")
+        self._body = LineCollection(
+            [], colors=[colours[drawing.sides[joint]] for joint, _ in bones], linewidths=2.5, capstyle="round"
+        )
         for lines in (self._ground, self._body):
             axes.add_collection(lines)
-        self._clock = axes.text(0.03, 0.03, "", transform=axes.transAxes, fontsize=9, color="#666666")
+        self._clock = axes.text(0.03, 0.02, "", transform=axes.transAxes, fontsize=9, color="#666666")
         if titled:
             title = f"{panel.name}, {panel.fps} fps"
-            axes.text(0.03, 0.95, title, transform=axes.transAxes, fontsize=9, parse_math=False)
+            colour = "black" if colours is COLOURS else colours[0]
+            axes.text(0.03, 0.98, title, transform=axes.transAxes, fontsize=9, color=colour, va="top", parse_math=False)
 
     def draw(self, instant: float) -> None:
         """Show the most recent frame at an instant in seconds after the motion's beginning."""
@@ -146,17 +156,25 @@ def _ground_lines(centre: Float64[np.ndarray, "3"], floor: float) -> Float64[np.
 
 
 def _write_strip(path: Path, panels: Sequence[Panel]) -> None:
-    """A row for each motion, with poses evenly spread over its duration."""
     size = STRIP_PIXELS / DPI
     figure = Figure(figsize=(STRIP_POSES * size, len(panels) * size), dpi=DPI)
-    for row, panel in enumerate(panels):
+    draw_strips(figure, [(panel, COLOURS) for panel in panels])
+    figure.savefig(path, format="png", dpi=DPI)
+
+
+def draw_strips(figure: FigureBase, strips: Sequence[tuple[Panel, Mapping[int, str]]]) -> None:
+    """Draw a row for each motion, with poses evenly spread over its duration.
+
+    A motion comes with the colours of its left (-1), middle (0) and right (1) bones. Rows are as wide as the figure and
+    an eighth of that high.
+    """
+    for row, (panel, colours) in enumerate(strips):
         seconds = panel.frame_seconds() - panel.frame_seconds()[0]
         for column, frame in enumerate(
             np.unique(np.linspace(0, panel.num_frames - 1, STRIP_POSES).round().astype(int))
         ):
-            scene = _Scene(figure, panel, (len(panels), STRIP_POSES), row * STRIP_POSES + column, titled=column == 0)
-            scene.draw(float(seconds[frame]))
-    figure.savefig(path, format="png", dpi=DPI)
+            grid, number = (len(strips), STRIP_POSES), row * STRIP_POSES + column
+            _Scene(figure, panel, grid, number, column == 0, colours).draw(float(seconds[frame]))
 
 
 def _write_gif(path: Path, figure: Figure, pictures: Iterator[None], fps: Fraction, count: int) -> None:

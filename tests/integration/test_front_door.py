@@ -24,6 +24,8 @@ import motionkit.demo_corpus
 from benchmarks.trust.scenarios import SETTINGS
 from eval.commands import demo as demo_command
 from motionkit.cli.app import build_app
+from motionkit.core.files import write_whole
+from motionkit.demo_corpus import read_demo_corpus
 from motionkit.fields.motion_field import to_motion
 from nerm.recipes import LOCAL
 from tests.helpers.analytic import analytic_motion
@@ -52,8 +54,12 @@ EXAMPLES = {
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of `motionkit demo`, of fewer motions and a model that has hardly begun to learn."""
+    """The folder of `motionkit demo`, of fewer motions and a model that has hardly begun to learn; it is a rerun's."""
     folder = tmp_path_factory.mktemp("project") / "demo"
+    for name in (demo_command.MARKER, "runs/mine/notes.txt", "generated/walk.txt"):
+        write_whole(folder / name, "mine")
+    write_whole(folder / "generated" / "generation.json", json.dumps({"format": "motionkit-generation", "files": []}))
+    write_whole(folder / "corpus" / f"{read_demo_corpus()[1].sequence_id}.bvh", "of a demo of more motions")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demo_command, "SMALLEST", TINY)
         patch.setattr(demo_command, "SMALLEST_TABLE", {"clips": 64, "replications": 1, "motions": 4})
@@ -102,12 +108,13 @@ def test_each_docstrings_examples_run(name: str, project: Path, monkeypatch: pyt
 
 
 def test_the_demo_leaves_everything_behind(demo: Path) -> None:
-    names = {"corpus", "store", "runs", "generated", "results", "demo.png", "motions.png"}
+    names = {"corpus", "store", "runs", "generated", "results", "demo.png"}
     assert names <= {path.name for path in demo.iterdir()}
     assert (demo / "demo.png").read_bytes().startswith(b"\x89PNG")
     table = (demo / "results" / "nerm-table2.md").read_text()
     assert f"| {LOCAL} |" in table and "| NeRM (paper) |" in table
     assert len(list((demo / "generated").glob("*.bvh"))) == 1
+    assert [(demo / name).read_text() for name in ("runs/mine/notes.txt", "generated/walk.txt")] == ["mine", "mine"]
 
 
 def test_the_page_runs(demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -169,11 +176,11 @@ def test_the_page_names_all_that_there_is() -> None:
     assert missing == ["MotionModel", "notebook_view"]  # what load_model gives, and what notebooks call
 
 
-def test_another_demo_takes_the_place_of_the_first_and_nothing_else(tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("mine")
-    with pytest.raises(mk.UsageError, match="has other content than an earlier demo"):
+def test_a_demo_does_not_replace_what_no_demo_made(tmp_path: Path) -> None:
+    (tmp_path / "store").mkdir()
+    with pytest.raises(mk.UsageError, match="store is not of an earlier demo"):
         demo_command.demo(tmp_path, smallest=True)
-    assert (tmp_path / "thesis.tex").read_text() == "mine"
+    assert not (tmp_path / demo_command.MARKER).exists()
 
 
 def test_a_demo_that_was_stopped_at_its_beginning_begins_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,6 +200,6 @@ def test_a_part_of_a_demo_that_is_a_link_is_not_deleted_through(tmp_path: Path) 
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").touch()
     (tmp_path / "demo" / "store").symlink_to(tmp_path / "mine")
-    with pytest.raises(OSError, match="symbolic link"):
+    with pytest.raises(mk.StoreError, match="not a store and not empty"):
         demo_command.demo(tmp_path / "demo", smallest=True)
     assert (tmp_path / "mine" / "thesis.tex").exists()

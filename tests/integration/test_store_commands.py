@@ -201,6 +201,11 @@ def test_a_skeleton_without_the_joints_is_left_out_and_reported(motionkit, bodie
     assert outcome.code == 0
     assert "left out: 1 (1 skeleton)" in outcome.stdout
     assert "left out ball: skeleton 'ball' cannot be mapped" in outcome.stderr
+    again = motionkit("export", tmp_path / "out", *arguments)
+    assert again.code == 2 and "--overwrite replaces it" in again.stderr
+    assert motionkit("export", tmp_path / "out", *arguments, "--overwrite").code == 0
+    foreign = motionkit("export", tmp_path, *arguments, "--overwrite")
+    assert foreign.code == 2 and "not what this command writes" in foreign.stderr
     told = json.loads(motionkit("export", tmp_path / "json", *arguments, "--json").stdout)
     assert [(one["sequence_id"], one["reason"]) for one in told["left_out"]] == [("ball", "skeleton")]
     nothing = motionkit("export", tmp_path / "none", *arguments[:-1], "sequence_id = 'ball'")

@@ -58,7 +58,7 @@ def test_a_bvh_file_at_its_own_framerate(motionkit: Run, motion: mk.Motion) -> N
     np.testing.assert_allclose(unpack(take["positions"]), read_bvh(Path("walk.bvh")).joint_positions, atol=HALF_STEP)
     assert take["name"] == "walk.bvh" and take["fps"] == [30, 1] and take["numFrames"] == 60
     again = motionkit("view", "walk.bvh")
-    assert again.code == 1 and "--overwrite" in again.stderr and again.stdout == ""
+    assert again.code == 2 and "--overwrite" in again.stderr and again.stdout == ""
     assert motionkit("view", "walk.bvh", "--overwrite").code == 0
 
 
@@ -143,7 +143,7 @@ def test_films_and_strips(motionkit: Run, motion: mk.Motion, here: Path) -> None
         assert (outcome.code, outcome.stdout.strip()) == (0, name), outcome.stderr
         assert (here / name).stat().st_size > 1000
     again = motionkit("view", "walk.npz", "--format", "png")
-    assert again.code == 1 and "--overwrite replaces it" in again.stderr
+    assert again.code == 2 and "--overwrite replaces it" in again.stderr
     page = motionkit("view", "walk.npz", "--speed", 0.5)
     assert page.code == 2 and "goes with --format mp4 or gif" in page.stderr
     named = motionkit("view", "walk.npz", "--format", "gif", "--out", "film")
@@ -166,7 +166,10 @@ def cards(motionkit: Run, motion: mk.Motion) -> list[dict[str, Any]]:
     return shown
 
 
-def test_cards_hold_native_frames_and_are_drawn(cards: list[dict[str, Any]], motion: mk.Motion) -> None:
+def test_cards_hold_native_frames_and_are_drawn(cards: list[dict[str, Any]], motion: mk.Motion, motionkit: Run) -> None:
+    for options, named in ((("--page", "again.html"), "--fps, --up"), ((), "stored sequences have theirs")):
+        refused = motionkit("view", "store", *options, "--fps", 30, "--up", "z")
+        assert refused.code == 2 and named in refused.stderr
     for card in cards:
         assert card["nativeFps"] == [30, 1] and card["fps"] == [10, 1] and card["numFrames"] == 20
         np.testing.assert_allclose(unpack(card["positions"]), motion.joint_positions[::3], atol=HALF_STEP)

@@ -11,6 +11,7 @@ from eval.report.curves import (
     cost_figure,
     curves_figure,
     panels_of,
+    row_colours,
     run_card,
     save,
     stages_of,
@@ -30,6 +31,18 @@ def test_an_axis_is_logarithmic_where_values_span_a_decade(tmp_path: Path) -> No
         figure = curves_figure([Panel("one", "clip-FID", (Curve("a", (20.0, 60.0), values, (0.1, 0.1)),))])
         assert save(figure, tmp_path / "curves.png").stat().st_size > 0
         assert figure.axes[0].get_yscale() == scale
+
+
+def test_a_row_has_one_colour_and_its_name_stands_free_at_its_end() -> None:
+    rows = ("real", "NeRM, local (ours)", "NeRM, local (ours), planted", "MDM")
+    ours = Panel("ours", "", tuple(Curve(name, (20.0, 60.0), (1.0, 2.0), (0.1, 0.1)) for name in rows))
+    papers = Panel("paper", "", tuple(Curve(name, (20.0, 60.0), (1.0, 2.0), (0.0, 0.0)) for name in ("T2M", "NeRM")))
+    here, there = row_colours([ours, papers])
+    assert len({*here.values(), *there.values()}) == 5 and here["NeRM, local (ours)"] == there["NeRM"]
+    axes, _ = curves_figure([ours, papers]).axes
+    heights = sorted(text.get_position()[1] for text in axes.texts)
+    assert {text.get_text() for text in axes.texts} == set(rows)
+    assert min(np.diff(heights)) > 0.03 and 0.0 < heights[0] < heights[-1] < 1.0
 
 
 def test_blocks_become_panels_with_the_papers_last() -> None:

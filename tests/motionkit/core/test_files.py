@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.core.errors import BusyError, DamagedFileError
+from motionkit.core.errors import BusyError, DamagedFileError, UsageError
 from motionkit.core.files import (
     LOCK,
     defer_signals,
@@ -26,6 +26,7 @@ from motionkit.core.files import (
     read_record,
     remove_entry,
     replace,
+    require_new,
     sha256_of,
     whole_file,
     whole_folder,
@@ -151,6 +152,26 @@ def test_a_folder_appears_with_all_that_is_in_it_or_not_at_all(tmp_path: Path) -
         assert names(tmp_path / "new") == ["out.partial"]
     assert names(tmp_path / "new") == ["out"]
     assert names(tmp_path / "new" / "out") == ["a"]
+
+
+def test_what_exists_is_replaced_on_request_and_only_where_it_is_of_the_same_kind(tmp_path: Path) -> None:
+    path = tmp_path / "out"
+    require_new(path, overwrite=False, instead="-")
+    path.mkdir()
+    require_new(path, overwrite=False, instead="-")
+    (path / "a").write_text("a")
+    with pytest.raises(UsageError, match="not what this command writes: name another"):
+        require_new(path, overwrite=True, instead="name another")
+    ours = {"replaced": Path.is_dir, "instead": "name another"}
+    with pytest.raises(UsageError, match="--overwrite replaces it, name another"):
+        require_new(path, overwrite=False, **ours)
+    require_new(path, overwrite=True, **ours)
+    with pytest.raises(KeyboardInterrupt), whole_folder(path):
+        raise KeyboardInterrupt
+    assert names(path) == ["a"]
+    with whole_folder(path) as folder:
+        (folder / "b").write_text("b")
+    assert names(path) == ["b"] and names(tmp_path) == ["out"]
 
 
 def test_killed_before_any_step_the_folder_is_there_or_the_next_writer_makes_it(tmp_path: Path) -> None:
