@@ -132,6 +132,7 @@ def _pictured(store: "Store", number: int) -> "list[Motion]":
 
 def _draw(places: dict[str, Path], real: "list[Motion]") -> None:
     """Table 2 as curves, and below, in the colours of its rows, motions of the corpus and those of their captions."""
+    import numpy as np
     from matplotlib.colors import to_hex, to_rgb
     from matplotlib.figure import Figure
 
@@ -158,13 +159,14 @@ def _draw(places: dict[str, Path], real: "list[Motion]") -> None:
         for row, shown in (("training takes", motion), ("planted", answer)):
             name, colour = next((name, colour) for name, colour in colours.items() if row in name)
             positions = map_joints(shown, SMPL22.name)[: int(PICTURED_SECONDS * shown.fps)]
-            light = to_hex([(1.0 + value) / 2 for value in to_rgb(colour)])
+            red, green, blue = to_rgb(colour)
+            light = to_hex(((1 + red) / 2, (1 + green) / 2, (1 + blue) / 2))
             strip = Panel(f"{name.partition(',')[0]}: {motion.captions[0].text}", positions, SMPL22, shown.fps)
             strips.append((strip, {-1: colour, 0: colour, 1: light}))
     width, curves_height = 12.0, 4.6
     heights = (curves_height, len(strips) * width / STRIP_POSES)
     figure = Figure(figsize=(width, sum(heights)), layout="constrained")
-    above, below = figure.subfigures(2, 1, height_ratios=heights)
+    above, below = np.ravel(figure.subfigures(2, 1, height_ratios=heights))
     draw_panels(above, panels)
     draw_strips(below, strips)
     save(figure, places["picture"])

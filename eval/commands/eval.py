@@ -147,7 +147,9 @@ def _chosen(table: str | None, figure: str | None, calibrate: bool, paper: str) 
 
     known = plugins.names("TABLES")
     if sum((table is not None, figure is not None, calibrate)) != 1:
-        raise UsageError(f"give --table NUMBER, --figure NUMBER or --calibrate; installed tables: {', '.join(known)}")
+        raise UsageError(
+            f"give --table NUMBER (2: clip-FID), --figure NUMBER or --calibrate; installed tables: {', '.join(known)}"
+        )
     if calibrate:
         from eval.tables.calibration import TABLE
 

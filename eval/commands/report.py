@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.cli.console import AsJson, RunsFolder, print_json, print_text, progress, stderr
+from motionkit.cli.console import AsJson, Overwrite, RunsFolder, print_json, print_text, progress, stderr
 from motionkit.core.errors import UsageError, counted
-from motionkit.core.files import default_path, write_whole
+from motionkit.core.files import default_path, require_new, write_whole
 from motionkit.core.progress import task
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ def report(
     only_samples: Annotated[
         bool, typer.Option("--samples-only", help="Rows of --samples, real motion and papers; none of a run's models.")
     ] = False,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Show every result of the results folder: one HTML page, pictures, or Markdown, LaTeX or CSV on stdout.
@@ -55,6 +56,9 @@ def report(
         raise UsageError("--out is for html and png: JSON, Markdown, LaTeX and CSV go to stdout")
     if (store or run) and (as_json or format != "html"):
         raise UsageError("--store and --run are for the page, --format html")
+    # What lies in the folder of results is renewed, as eval does.
+    for path in () if out is None else [out] if format == "html" else [out / f"{each.task}.png" for each in found]:
+        require_new(path, overwrite=overwrite, instead="--out writes elsewhere")
     if as_json:
         print_json([asdict(result) for result in found])
     elif format in printers:

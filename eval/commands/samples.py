@@ -54,7 +54,7 @@ def _write_manifest(folder: Path, stated: Mapping[str, str | None], overwrite: b
     path, text = folder / MANIFEST, (resources.files("eval.sample_folder") / MANIFEST).read_text(encoding="utf-8")
     if not folder.is_dir():
         raise UsageError(f"--init writes {MANIFEST} into a folder, and {str(folder)!r} is none")
-    require_new(path, overwrite=overwrite, instead="complete it, without --init")
+    require_new(path, overwrite=overwrite, instead="it is read without --init")
     for key, value in stated.items():
         if value is not None:
             text = re.sub(rf"(?m)^# {key} = .*?(?=  #)", f'{key} = "{value}"', text)

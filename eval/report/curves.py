@@ -121,7 +121,7 @@ def _draw(axes: Axes, panel: Panel, colours: Mapping[str, str]) -> list[Annotati
             axes.plot(places, values, MARKERS[index % len(MARKERS)], color=colour, markersize=4.5)
             beside = places + (index - len(panel.curves) / 2) * 0.006 * (ticks[-1] - ticks[0])
             axes.errorbar(beside, values, widths, fmt="none", ecolor=colour, elinewidth=0.8, alpha=0.5)
-        at_end = {"xy": (places[-1], values[-1]), "xytext": (1.04, 0.5), "textcoords": "axes fraction"}
+        at_end: dict[str, Any] = {"xy": (places[-1], values[-1]), "xytext": (1.04, 0.5), "textcoords": "axes fraction"}
         line = {"arrowstyle": "-", "color": colour, "linewidth": 0.6, "shrinkA": 1.0, "relpos": (0.0, 0.5)}
         text = fill(curve.label, 28)
         names.append(axes.annotate(text, **at_end, arrowprops=line, color=colour, fontsize=8, va="center"))

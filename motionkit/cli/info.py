@@ -96,7 +96,8 @@ def _show_file(path: Path, up: str | None, init: Path | None, as_json: bool, *, 
 
 
 def _file_lines(described: dict[str, Any]) -> Iterator[str]:
-    stated = f" (the file says {described['stated_fps']})" if described["stated_fps"] else ""
+    is_other = described["stated_fps"] not in ("", described["fps"])
+    stated = f" (the file says {described['stated_fps']})" if is_other else ""
     seconds = "" if described["duration_seconds"] is None else f", {described['duration_seconds']:.6g} s"
     maps = f"maps by {described['family']}" if described["family"] else "no mapping; provide --skeleton-map"
     rotations = "rotations" if described["has_rotations"] else "positions only"

@@ -83,7 +83,13 @@ def view(
     from motionkit.viz.view import PAGE_SUFFIX, Interval, page_path, read_panels, spread, write_view
 
     if page_file is not None:
-        others = {"from": from_seconds, "to": to_seconds, "fps": fps, "unit-metres": unit_metres, "up": up}
+        others: dict[str, object] = {
+            "from": from_seconds,
+            "to": to_seconds,
+            "fps": fps,
+            "unit-metres": unit_metres,
+            "up": up,
+        }
         others |= {"format": film_format, "skeleton-map": skeleton_map, "out": out, "speed": speed}
         if ignored := [f"--{name}" for name, value in others.items() if value]:
             raise UsageError(f"--page shows a store's sequences whole and as they are: leave out {', '.join(ignored)}")

@@ -167,7 +167,7 @@ def cards(motionkit: Run, motion: mk.Motion) -> list[dict[str, Any]]:
 
 
 def test_cards_hold_native_frames_and_are_drawn(cards: list[dict[str, Any]], motion: mk.Motion, motionkit: Run) -> None:
-    for options, named in ((("--page", "again.html"), "--fps, --up"), ((), "stored sequences have theirs")):
+    for options, named in ((["--page", "again.html"], "--fps, --up"), ([], "stored sequences have theirs")):
         refused = motionkit("view", "store", *options, "--fps", 30, "--up", "z")
         assert refused.code == 2 and named in refused.stderr
     for card in cards:

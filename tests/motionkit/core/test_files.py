@@ -162,10 +162,9 @@ def test_what_exists_is_replaced_on_request_and_only_where_it_is_of_the_same_kin
     (path / "a").write_text("a")
     with pytest.raises(UsageError, match="not what this command writes: name another"):
         require_new(path, overwrite=True, instead="name another")
-    ours = {"replaced": Path.is_dir, "instead": "name another"}
     with pytest.raises(UsageError, match="--overwrite replaces it, name another"):
-        require_new(path, overwrite=False, **ours)
-    require_new(path, overwrite=True, **ours)
+        require_new(path, overwrite=False, replaced=Path.is_dir, instead="name another")
+    require_new(path, overwrite=True, replaced=Path.is_dir, instead="-")
     with pytest.raises(KeyboardInterrupt), whole_folder(path):
         raise KeyboardInterrupt
     assert names(path) == ["a"]
