@@ -24,6 +24,7 @@ import motionkit.demo_corpus
 from benchmarks.trust.scenarios import SETTINGS
 from eval.commands import demo as demo_command
 from motionkit.cli.app import build_app
+from motionkit.core.errors import StoreError
 from motionkit.core.files import write_whole
 from motionkit.demo_corpus import read_demo_corpus
 from motionkit.fields.motion_field import to_motion
@@ -200,6 +201,6 @@ def test_a_part_of_a_demo_that_is_a_link_is_not_deleted_through(tmp_path: Path) 
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").touch()
     (tmp_path / "demo" / "store").symlink_to(tmp_path / "mine")
-    with pytest.raises(mk.StoreError, match="not a store and not empty"):
+    with pytest.raises(StoreError, match="not a store and not empty"):
         demo_command.demo(tmp_path / "demo", smallest=True)
     assert (tmp_path / "mine" / "thesis.tex").exists()
