@@ -83,14 +83,8 @@ def view(
     from motionkit.viz.view import PAGE_SUFFIX, Interval, page_path, read_panels, spread, write_view
 
     if page_file is not None:
-        others: dict[str, object] = {"from": from_seconds, "to": to_seconds, "fps": fps, "up": up}
-        others |= {
-            "unit-metres": unit_metres,
-            "format": film_format,
-            "skeleton-map": skeleton_map,
-            "out": out,
-            "speed": speed,
-        }
+        others: dict[str, object] = {"from": from_seconds, "to": to_seconds, "fps": fps, "up": up, "speed": speed}
+        others |= {"unit-metres": unit_metres, "format": film_format, "skeleton-map": skeleton_map, "out": out}
         if ignored := [f"--{name}" for name, value in others.items() if value]:
             raise UsageError(f"--page shows a store's sequences whole and as they are: leave out {', '.join(ignored)}")
         _write_cards(page_file, clips or [], store, where, overwrite=overwrite, open_page=open_page, as_json=as_json)
