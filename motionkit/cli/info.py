@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from motionkit.cli.console import Overwrite, Up, named_store, print_json, stderr, stdout
-from motionkit.core.errors import UsageError, counted
+from motionkit.core.errors import UsageError, counted, lasting
 from motionkit.core.files import default_path, is_store
 
 if TYPE_CHECKING:
@@ -123,9 +123,9 @@ def _quality_lines(report: dict[str, Any]) -> Iterator[str]:
     for source in report["sources"]:
         yield ""
         name = source["source"] or "(unnamed)"
-        yield f"source {name}: {counted(source['num_sequences'], 'sequence')}, {source['hours']:.2f} h"
+        yield f"source {name}: {counted(source['num_sequences'], 'sequence')}, {lasting(3600 * source['hours'])}"
         for flag, count in {"no flag": source["clean"], **source["flags"]}.items():
-            yield f"  {flag:14}{count['num_sequences']:>8,}  {count['hours']:8.2f} h"
+            yield f"  {flag:14}{count['num_sequences']:>8,}  {lasting(3600 * count['hours']):>10}"
     for worst in report["worst"]:
         yield ""
         yield f"worst {worst['flag']} ({worst['column']})"
@@ -144,7 +144,7 @@ def _quality_lines(report: dict[str, Any]) -> Iterator[str]:
 
 def _summary_lines(summary: "StoreSummary") -> Iterator[str]:
     yield (
-        f"{summary.path}: {counted(summary.num_sequences, 'sequence')}, {summary.hours:.2f} h, "
+        f"{summary.path}: {counted(summary.num_sequences, 'sequence')}, {lasting(3600 * summary.hours)}, "
         f"{counted(summary.num_frames, 'frame')}, {counted(summary.num_skeletons, 'skeleton')}"
     )
     for source in summary.sources:
@@ -166,7 +166,7 @@ def _source_lines(source: "SourceSummary") -> Iterator[str]:
         f"{source.num_captions:,} on {counted(source.num_captioned, 'sequence')}" if source.num_captions else "none"
     )
     yield f"source      {source.source or '(unnamed)'}"
-    yield f"sequences   {source.num_sequences:,}, {source.hours:.2f} h, {counted(source.num_frames, 'frame')}"
+    yield f"sequences   {source.num_sequences:,}, {lasting(3600 * source.hours)}, {counted(source.num_frames, 'frame')}"
     yield f"fps         {_counts(source.framerates)}"
     yield f"durations   {_counts(source.durations)}"
     yield f"splits      {_counts(source.splits)}"

@@ -21,7 +21,7 @@ from motionkit.cli.console import (
     stderr,
     stdout,
 )
-from motionkit.core.errors import FormatError, MotionkitError, UsageError, counted
+from motionkit.core.errors import FormatError, MotionkitError, UsageError, counted, lasting
 from motionkit.core.files import default_path
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def ingest(
 def _print_summary(report: "IngestReport", of_store: str) -> None:
     stored = report.stored
     stdout.print(
-        f"stored {counted(stored.num_sequences, 'sequence')} ({stored.duration_seconds / 3600:.2f} h, "
+        f"stored {counted(stored.num_sequences, 'sequence')} ({lasting(stored.duration_seconds)}, "
         f"{counted(stored.num_frames, 'frame')}) in {report.store}, which holds {report.num_in_store:,}",
     )
     if report.num_already_stored:
@@ -185,7 +185,8 @@ def _print_summary(report: "IngestReport", of_store: str) -> None:
             f"'motionkit info --quality{of_store}' lists them"
         )
     by = "" if stored.num_with_performer == stored.num_sequences else " --by sequence_id"
-    stdout.print(f"next: motionkit {'train' if stored.num_in_splits else 'split' + by}{of_store}")
+    is_split = 2 * stored.num_in_splits >= stored.num_sequences
+    stdout.print(f"next: motionkit {'train' if is_split else 'split' + by}{of_store}")
 
 
 def _counts(words: Iterable[str]) -> dict[str, int]:

@@ -16,7 +16,7 @@ from motionkit.cli.console import (
     progress,
     stdout,
 )
-from motionkit.core.errors import UsageError, counted
+from motionkit.core.errors import UsageError, counted, lasting
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
 
@@ -104,12 +104,12 @@ def split(
         print_json({**asdict(report), "store": str(report.store), "seed": seed, "dry_run": dry_run})
         return
     stdout.print(
-        f"{'split':8}{'share':>8}{'asked':>8}{'hours':>10}{'groups':>10}{'sequences':>12}{'wordings seen':>16}"
+        f"{'split':8}{'share':>8}{'asked':>8}{'length':>10}{'groups':>10}{'sequences':>12}{'wordings seen':>16}"
     )
     for each in report.splits:
-        hours, seen = each.duration_seconds / 3600, f"{each.num_seen:,} of {each.num_captioned:,}"
+        length, seen = lasting(each.duration_seconds), f"{each.num_seen:,} of {each.num_captioned:,}"
         stdout.print(
-            f"{each.split:8}{each.share:8.3f}{each.requested_share:8.3f}{hours:10.2f}{each.num_groups:10,}"
+            f"{each.split:8}{each.share:8.3f}{each.requested_share:8.3f}{length:>10}{each.num_groups:10,}"
             f"{each.num_sequences:12,}{seen:>16}",
         )
     doing = "would change" if dry_run else "changed"

@@ -114,6 +114,13 @@ def counted(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
+def lasting(seconds: float) -> str:
+    """A duration in the unit that shows it: "0.5 s", "2.6 min", "1,204.3 h"."""
+    if seconds < 90:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.1f} min" if seconds < 5400 else f"{seconds / 3600:,.1f} h"
+
+
 def printable(text: str) -> str:
     """A text as one line that is safe on a terminal: control characters as escapes (`\\x1b`, `\\n`).
 

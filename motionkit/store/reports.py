@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from motionkit.core.errors import counted, markdown_text
+from motionkit.core.errors import counted, lasting, markdown_text
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
@@ -41,14 +41,14 @@ configs:
 - {{config_name: skeletons, data_files: skeletons.parquet}}
 """
 STORE_TEXT = """\
-{3}, {0.hours:.2f} h: a store of motionkit, whose tables are Parquet; \
-`motionkit.Store.open({1!r})` reads it. `datasets`, pandas, polars and duckdb read the files as they are: \
+{2}: a store of motionkit, whose tables are Parquet; \
+`motionkit.Store.open({0!r})` reads it. `datasets`, pandas, polars and duckdb read the files as they are: \
 `sequences.parquet` has a row for each sequence, `motions/` its frames, joined by `sequence_index`. Every sequence \
 keeps the licence of its source (column `licence`), which says what it may be used for.
 
 | source | sequences | hours | framerates | licences |
 |---|---|---|---|---|
-{2}"""
+{1}"""
 READ_STORE = """\
 row = load_dataset({!r}, "motions", split="train").with_format("numpy")[0]
     joints = row["joint_positions"].reshape(row["num_joints"], 3, row["num_frames"]).transpose(2, 0, 1)"""
@@ -129,9 +129,10 @@ def store_card(summary: StoreSummary, address: str) -> str:
         names = ", ".join(name or "not stated" for name in each.licences)
         cells = (each.source, f"{each.num_sequences:,}", f"{each.hours:.2f}", ", ".join(each.framerates), names)
         rows.append(f"| {' | '.join(map(markdown_text, cells))} |")
+    size = f"{counted(summary.num_sequences, 'sequence')}, {lasting(3600 * summary.hours)}"
     return CARD.format(
         head=STORE_HEAD.format(json.dumps("; ".join(summary.licences))),
-        text=STORE_TEXT.format(summary, address, "\n".join(rows), counted(summary.num_sequences, "sequence")),
+        text=STORE_TEXT.format(address, "\n".join(rows), size),
         code=READ_STORE.format(address),
     )
 

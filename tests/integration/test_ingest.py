@@ -21,13 +21,13 @@ def test_the_first_ingest_makes_a_store_and_the_next_adds_to_it(motionkit, takes
     store = tmp_path / "store"
     first = motionkit("ingest", takes, "--store", store, "--workers", 1)
     assert (first.code, first.stderr) == (0, "")
-    assert first.stdout.startswith("stored 3 sequences (0.00 h, 15 frames) in ")
+    assert first.stdout.startswith("stored 3 sequences (0.5 s, 15 frames) in ")
     assert ids(store) == ["takes/alpha", "takes/beta", "takes/gamma"]
     assert Store.open(store).read("takes/beta").fps == 30
     (takes / "delta.bvh").write_text(bvh_text(7))
     second = motionkit("ingest", takes, "--store", store, "--workers", 1)
     assert (second.code, second.stderr) == (0, "")
-    assert second.stdout.startswith("stored 1 sequence (0.00 h, 7 frames) in ")
+    assert second.stdout.startswith("stored 1 sequence (0.2 s, 7 frames) in ")
     assert "already there: 3" in second.stdout
     assert ids(store)[3:] == ["takes/delta"]
     assert motionkit("validate", "--store", store).code == 0

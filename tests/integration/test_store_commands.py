@@ -35,7 +35,7 @@ def test_info_of_a_store(motionkit, store):
     outcome = motionkit("info", "--store", store)
     assert outcome.code == 0
     lines = outcome.stdout.splitlines()
-    assert lines[0] == f"{store}: 3 sequences, 0.00 h, 15 frames, 1 skeleton"
+    assert lines[0] == f"{store}: 3 sequences, 0.5 s, 15 frames, 1 skeleton"
     assert {
         "fps         30 (3)",
         "splits      none (1), test (1), train (1)",
