@@ -32,7 +32,9 @@ function makeCard(card) {
   card.box = box; card.canvas = element("canvas"); card.input = input;
   const facts = [fpsText(card.nativeFps), `${rounded(card.duration_seconds, 1)} s`, card.action, ...card.flags];
   const said = element("p", "said", card.captions.map(([text]) => text).join(" / "));
-  open.append(card.canvas, element("p", "id", card.name), element("p", "facts", facts.filter(Boolean).join(" · ")), said);
+  const id = element("p", "id");
+  id.append(element("bdi", "", card.name));
+  open.append(card.canvas, id, element("p", "facts", facts.filter(Boolean).join(" · ")), said);
   open.title = card.name;
   open.onclick = () => openCard(card);
   input.type = "checkbox"; input.ariaLabel = `mark ${card.name}`;
@@ -112,8 +114,9 @@ function describeMarks() {
 function applyFilter() {
   const chosen = Object.fromEntries(new FormData(filter));
   shown = cards.filter((card) => { const yes = isShown(card, chosen); card.box.hidden = !yes; return yes; });
-  const hours = shown.reduce((sum, card) => sum + card.duration_seconds, 0) / 3600;
-  find("count").textContent = `${rounded(shown.length, 0)} of ${rounded(cards.length, 0)} sequences, ${rounded(hours, 2)} h`;
+  const minutes = shown.reduce((sum, card) => sum + card.duration_seconds, 0) / 60;
+  const length = minutes < 90 ? `${rounded(minutes, 1)} min` : `${rounded(minutes / 60, 1)} h`;
+  find("count").textContent = `${rounded(shown.length, 0)} of ${rounded(cards.length, 0)} sequences, ${length}`;
 }
 
 function download() {
