@@ -491,7 +491,8 @@ class _Reader:
         fps = fps or (layout.fps if layout else None)
         if fps is None:
             message = f"nothing says its framerate; write fps = 20 (or what it is) into {self.listing.root / MANIFEST}"
-            raise FormatError(f"{message} (HumanML3D's models have 20, KIT-ML's 12.5)", path=path, reason="framerate")
+            message += " (HumanML3D's models have 20, KIT-ML's 12.5), or give samples --fps, eval --samples-fps"
+            raise FormatError(message, path=path, reason="framerate")
         if layout:
             self.vectors[layout.num_values].append(numbers)
             vectors = self.restored(numbers)
