@@ -13,8 +13,7 @@ import torch
 from torch import Tensor
 
 from motionkit.core import plugins
-from motionkit.core.errors import UsageError
-from motionkit.core.files import sha256_of, write_json
+from motionkit.core.files import require_new, sha256_of, write_json
 from motionkit.training.loop import load_tensors, save_tensors
 from motionkit.training.run import RunFolder
 
@@ -30,8 +29,7 @@ def pack_run(run: RunFolder, out: Path, stages: Iterable[str], *, overwrite: boo
     packed: dict[str, str] = {}  # by the sha256 of each model, the packed one's: later stages name what they build on
     for name in stages:
         stage, own = run.stage(name), RunFolder(out).stage(name)
-        if own.path.exists() and not overwrite:
-            raise UsageError(f"{own.path} exists: --overwrite replaces it")
+        require_new(own.path, overwrite=overwrite, replaced=Path.is_dir, instead="name another folder")
         stage.check()
         tensors, description = load_tensors(stage.model_path)
         kept = {each: _half(tensor) for each, tensor in plugins.load("STAGES", name).packed(tensors).items()}
