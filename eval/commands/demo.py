@@ -132,7 +132,6 @@ def _pictured(store: "Store", number: int) -> "list[Motion]":
 
 def _draw(places: dict[str, Path], real: "list[Motion]") -> None:
     """Table 2 as curves, and below, in the colours of its rows, motions of the corpus and those of their captions."""
-    import numpy as np
     from matplotlib.colors import to_hex, to_rgb
     from matplotlib.figure import Figure
 
@@ -166,7 +165,7 @@ def _draw(places: dict[str, Path], real: "list[Motion]") -> None:
     width, curves_height = 12.0, 4.6
     heights = (curves_height, len(strips) * width / STRIP_POSES)
     figure = Figure(figsize=(width, sum(heights)), layout="constrained")
-    above, below = np.ravel(figure.subfigures(2, 1, height_ratios=heights))
+    above, below = figure.subfigures(2, 1, height_ratios=heights, squeeze=False).ravel()
     draw_panels(above, panels)
     draw_strips(below, strips)
     save(figure, places["picture"])

@@ -108,7 +108,7 @@ def test_sets_that_mislead_are_named_under_the_table(motionkit: Command, store: 
     ("arguments", "code", "message"),
     [
         (("eval",), 2, "give --table NUMBER (2: clip-FID), --figure NUMBER or --calibrate; installed tables: nerm-"),
-        (("eval", "--table", "2", "--figure", "5"), 2, "give --table NUMBER, --figure NUMBER or --calibrate"),
+        (("eval", "--table", "2", "--figure", "5"), 2, "give --table NUMBER (2: clip-FID), --figure NUMBER"),
         (("eval", "--table", "77"), 2, "there is no table 77 of 'nerm'"),
         (("eval", "--table", "2", "--fps", "20,x"), 2, "--fps 20,x"),
         (("eval", "--table", "2", "--sizes", "64:16"), 2, "--sizes 64:16"),
