@@ -44,7 +44,8 @@ def ingest(
     index: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Index of segments: HumanML3D's index.csv, TMR's annotations.json (KIT-ML), BABEL's train.json."
+            help="Index of segments: HumanML3D's index.csv, TMR's annotations.json (KIT-ML), BABEL's train.json, "
+            "BONES-SEED's metadata."
         ),
     ] = None,
     texts: Annotated[Path | None, typer.Option(help="Folder of the index's captions: 000000.txt …")] = None,

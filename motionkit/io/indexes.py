@@ -1,6 +1,6 @@
 """Indexes: files that list the segments of motion files that form a corpus, with names and captions.
 
-Three kinds are read:
+Four kinds are read:
 
 - HumanML3D's index.csv: source_path, start_frame, end_frame, new_name; 14,616 rows. `motionkit.io.cuts` explains how
   frames are counted. Rows of humanact12 have the end −1 and take the whole file. Source:
@@ -12,6 +12,11 @@ Three kinds are read:
   sequence has labels of the whole (`seq_ann`, extra: `seq_anns`) and of segments (`frame_ann`, extra: `frame_anns`);
   either may be null, and test.json has none. Each label has `raw_label` (the annotator's words), `proc_label`,
   `act_cat` (categories), and, for segments, `start_t` and `end_t`. Source: https://github.com/abhinanda-punnakkal/BABEL.
+- BONES-SEED's metadata: seed_metadata_v004.csv, 142,220 rows, half of them of mirrored files (is_mirror), each with the
+  paths of its motion as SOMA's uniform and proportional BVH and as the G1's CSV, of which the first that the sources
+  have is read; and the labels beside it, seed_metadata_v002_temporal_labels.jsonl: lines of filename, events with
+  start_time, end_time, description. Source: https://huggingface.co/datasets/bones-studio/seed,
+  https://github.com/bones-studio/seed-viewer (backend/src/globals.py, soma/parse_data_example_minimal.py).
 
 The files of an index are found by name alone, whatever the spelling, without opening them: in a folder of all of AMASS
 only the files of the index are read.
@@ -35,7 +40,7 @@ from motionkit.core.motion import Caption
 from motionkit.io import source_file
 from motionkit.io.cuts import Cut, StepCut, TimeCut
 from motionkit.io.registry import IndexOptions, ScanResult, SourceItem
-from motionkit.io.texts import SPLITS, read_splits, read_texts
+from motionkit.io.texts import SPLITS, read_splits, read_texts, split_files
 
 Key = tuple[str, ...]
 # The motion that a file holds, or None for a file of no known format.
@@ -44,6 +49,10 @@ ItemOf = Callable[[Path, Path], SourceItem | None]
 # SMPL+H files are called NAME_poses, SMPL-X files NAME_stageii. HumanML3D and BABEL count in frames of the former.
 ENDINGS = ("_poses", "_stageii")
 MIRROR = "M"
+SEED_PATHS = ("move_soma_uniform_path", "move_soma_proportional_path", "move_g1_path", "move_g1_mujoco_path")
+SEED_TEXTS = (*(f"natural_desc_{number}" for number in "1234"), "short_description", "short_description_2")
+SEED_TIMES = ("start_time", "end_time")
+SEED_LABELS = "*temporal_labels*.jsonl"
 HUMANML3D_COLUMNS = ("source_path", "start_frame", "end_frame", "new_name")
 HUMANACT12 = "humanact12"
 WHOLE_FILE = -1
@@ -69,8 +78,9 @@ class Dataset:
 class Entry:
     """A sequence of an index: the file, the segment of it, and its annotations.
 
-    `parts` is the file's path as the index spells it. `cut` None takes the whole file; `line` is the entry's line in an
-    index that has lines.
+    `parts` is the file's path as the index spells it, `others` are paths of the same motion in other formats. `cut`
+    None takes the whole file, which holds the mirrored motion if the entry is `mirrored`; `line` is the entry's line in
+    an index that has lines.
     """
 
     name: str
@@ -78,9 +88,12 @@ class Entry:
     cut: Cut | None = None
     captions: tuple[Caption, ...] = ()
     action: str = ""
+    style: str = ""
+    subject: str = ""
     split: str = ""
     mirrored: bool = False
     line: int | None = None
+    others: tuple[tuple[str, ...], ...] = ()
 
     @property
     def key(self) -> Key:
@@ -160,7 +173,7 @@ def _spelling(part: str) -> str:
 
 
 def read_index(path: Path) -> Index:
-    """Read an index of any kind: HumanML3D's index.csv, TMR's annotations, BABEL's labels.
+    """Read an index of any kind: HumanML3D's index.csv, TMR's annotations, BABEL's labels, BONES-SEED's metadata.
 
     Bad entries become its `problems`. Raises `FormatError` (`index`, `encoding`, `empty`, `unreadable`) for any other
     file.
@@ -169,7 +182,10 @@ def read_index(path: Path) -> Index:
     text = source_file.decode(data, path)
     header = text.lstrip().partition("\n")[0]
     if "source_path" in header and "new_name" in header:
-        return _read_humanml3d(text, path)
+        return _read_csv(text, path, "humanml3d", HUMANML3D_COLUMNS, _humanml3d)
+    if "filename" in header and SEED_PATHS[0] in header:
+        events = _seed_events(path.parent)
+        return _read_csv(text, path, "seed", ("filename",), lambda name, row: _seed(name, row, events.get(name, ())))
     if text.lstrip().startswith("{"):
         try:
             entries = parse_json(text)
@@ -188,7 +204,8 @@ def read_index(path: Path) -> Index:
             rows = ((each, None, (entry, split)) for each, entry in entries.items())
             return _index("babel", path, rows, _babel)
     message = f"looks like {source_file.describe_content(data)}, expected an index: HumanML3D's index.csv"
-    raise FormatError(f"{message}, TMR's annotations (JSON) or BABEL's labels (JSON)", path=path, reason="index")
+    message += ", BONES-SEED's metadata (CSV), TMR's annotations (JSON) or BABEL's labels (JSON)"
+    raise FormatError(message, path=path, reason="index")
 
 
 def _index(
@@ -230,21 +247,24 @@ def _seconds(value: object, what: str) -> float:
     return number
 
 
-def _read_humanml3d(text: str, path: Path) -> Index:
+def _read_csv(
+    text: str, path: Path, name: str, expected: tuple[str, ...], entry_of: Callable[[str, Any], Entry]
+) -> Index:
+    """The index of a CSV table, whose last expected column names the sequences."""
     reader = csv.DictReader(text.splitlines(keepends=True), strict=True)
 
     def rows() -> Iterator[tuple[str, int, Mapping[str, str | None]]]:
         for row in reader:
-            yield (row["new_name"] or "").strip().removesuffix(".npy"), reader.line_num, row
+            yield (row[expected[-1]] or "").strip().removesuffix(".npy"), reader.line_num, row
 
     try:
-        columns = [name.strip() for name in reader.fieldnames or ()]
-        absent = ", ".join(name for name in HUMANML3D_COLUMNS if name not in columns)
+        columns = [column.strip() for column in reader.fieldnames or ()]
+        absent = ", ".join(column for column in expected if column not in columns)
         if absent:
-            message = f"no column {absent}; expected {','.join(HUMANML3D_COLUMNS)}, separated by commas"
+            message = f"no column {absent}; expected {','.join(expected)}, separated by commas"
             raise FormatError(message, path=path, reason="index", line=1)
         reader.fieldnames = columns
-        return _index("humanml3d", path, rows(), _humanml3d)
+        return _index(name, path, rows(), entry_of)
     except csv.Error as error:
         raise FormatError(f"not a CSV table ({error})", path=path, reason="index", line=reader.line_num) from None
 
@@ -270,6 +290,43 @@ def _frame(row: Mapping[str, str | None], column: str) -> int:
     if re.fullmatch(r"-?\d{1,7}(\.0)?", cell, re.ASCII):
         return int(float(cell))
     raise ValueError(f"{column} is {cell[:40]!r}, expected a whole number of frames")
+
+
+def _seed_events(folder: Path) -> dict[str, list[Any]]:
+    """The events of the label file in a folder, by the motion's name; empty without such a file."""
+    path = next(iter(sorted(folder.glob(SEED_LABELS), reverse=True)), None)
+    if path is None:
+        return {}
+    events: dict[str, list[Any]] = {}
+    for line, text in enumerate(source_file.decode(source_file.read_bytes(path), path).split("\n"), start=1):
+        try:
+            labels = parse_json(text) if text.strip() else {"filename": "", "events": []}
+            events[labels["filename"]] = list(labels["events"])
+        except (ValueError, TypeError, KeyError):
+            message = "expected JSON with filename and events on each line"
+            raise FormatError(message, path=path, reason="index", line=line) from None
+    return events
+
+
+def _seed(name: str, row: Mapping[str, str | None], events: Iterable[Any]) -> Entry:
+    """Captions are the natural and short descriptions of the whole motion, then the events with their seconds."""
+    cells = {column: (cell or "").strip() for column, cell in row.items() if column and not isinstance(cell, list)}
+    paths = [_source_parts(cells[column]) for column in SEED_PATHS if cells.get(column)]
+    captions = [Caption(text) for kind in SEED_TEXTS if (text := cells.get(f"content_{kind}"))]
+    for event in events:
+        if not isinstance(event, dict) or not isinstance(event.get("description"), str):
+            raise ValueError("an event without a description")
+        captions.append(Caption(event["description"], *sorted(_seconds(event.get(at), at) for at in SEED_TIMES)))
+    return Entry(
+        name=name,
+        parts=paths[0] if paths else _source_parts(None),
+        captions=tuple(dict.fromkeys(captions)),
+        action=cells.get("content_type_of_movement", ""),
+        style=cells.get("content_uniform_style", ""),
+        subject=cells.get("actor_uid", ""),
+        mirrored=cells.get("is_mirror", "").lower() in ("true", "1", "1.0"),
+        others=tuple(paths[1:]),
+    )
 
 
 def _tmr(name: str, value: Any) -> Entry:
@@ -354,18 +411,22 @@ def scan_indexes(places: Iterable[tuple[Path, Path]], options: IndexOptions, ite
     A place is a file and its source. Sequences of one file are consecutive, in the order in which the indexes first
     name the file. Raises `UsageError` for options that exclude each other, `FormatError` for an unreadable index.
     """
-    indexes = [_chosen(read_index(path), options) for path in options.paths]
+    whole = [read_index(path) for path in options.paths]
+    indexes = [_chosen(index, options) for index in whole]
     warnings: list[FormatError] = []
-    files = _by_key(places, {entry.key for index in indexes for entry in index.entries})
+    entries = (entry for index in indexes for entry in index.entries)
+    files = _by_key(places, {file_key(parts) for entry in entries for parts in (entry.parts, *entry.others)})
     items_by_file: dict[Path, list[SourceItem]] = {}
     problems: list[FormatError] = []
     missing: Counter[str] = Counter()
-    for index in indexes:
-        splits, of_splits = _splits(index, options)
+    for index, unfiltered in zip(indexes, whole, strict=True):
+        splits, of_splits = _splits(unfiltered, options)
         warnings += of_splits
         problems += index.problems
         found: dict[Key, SourceItem | None] = {}
         for entry in index.entries:
+            present = (parts for parts in (entry.parts, *entry.others) if file_key(parts) in files)
+            entry = replace(entry, parts=next(present, entry.parts))
             if entry.key not in found:
                 of_key = (item_of(path, root) for path, root in files.get(entry.key, ()))
                 found[entry.key] = next((item for item in of_key if item is not None), None)
@@ -410,9 +471,9 @@ def _by_key(places: Iterable[tuple[Path, Path]], keys: set[Key]) -> dict[Key, li
     found: dict[Key, list[tuple[Path, Path]]] = {}
     for path, root in places:
         parts = path.relative_to(root).parts
-        named = (root.name, *parts)  # the source may itself be a dataset's folder
-        key = file_key(named if dataset_of(named) else parts)
-        if key in keys:
+        # The source may itself be a dataset's folder.
+        key = next((key for key in (file_key(parts), file_key((root.name, *parts))) if key in keys), None)
+        if key is not None:
             found.setdefault(key, []).append((path, root))
     for of_key in found.values():
         of_key.sort(key=lambda place: [place[0].stem.endswith(ending) for ending in ENDINGS], reverse=True)
@@ -426,11 +487,13 @@ def _item(index: Index, entry: Entry, file: SourceItem, splits: Mapping[str, str
         sequence_id=f"{index.name}/{entry.name}",
         captions=read_texts(path) if path is not None and path.is_file() else entry.captions,
         action=entry.action or file.action,
+        style=entry.style or file.style,
+        subject=entry.subject or file.subject,
         split=splits.get(entry.name, entry.split),
         source=index.name,
         subset=entry.dataset,
         cut=entry.cut,
-        mirrored=entry.mirrored,
+        mirrored=entry.mirrored and entry.cut is not None,
     )
 
 
@@ -441,12 +504,11 @@ def _splits(index: Index, options: IndexOptions) -> tuple[Mapping[str, str], lis
     folder = options.splits
     if folder is None:
         beside = [index.path.parent, *([options.texts.resolve().parent] if options.texts else [])]
-        folder = next((each for each in beside if (each / "train.txt").is_file()), None)
-    elif not any((folder / f"{split}.txt").is_file() for split in SPLITS):
-        raise UsageError(f"{folder} has none of {', '.join(f'{split}.txt' for split in SPLITS)}")
+        folder = next((each for each in beside if "train" in split_files(each)), None)
+    elif not split_files(folder):
+        raise UsageError(f"{folder} has none of {', '.join(f'{split}.txt' for split in SPLITS)}, nor Kimodo's splits")
     if folder is None:
         return {}, []
     names = dict.fromkeys(entry.name for entry in index.entries)
-    # Half of HumanML3D's split is mirrored; these are missing only if mirrored sequences were requested.
-    copies = {} if options.mirrored else dict.fromkeys(MIRROR + name for name in names)
+    copies = dict.fromkeys(MIRROR + name for name in names)  # half of HumanML3D's split has no rows of its own
     return read_splits(folder, names | copies, index.path.name)

@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from motionkit.core import kinematics
+from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float, Float32
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.contact.bones import Bones
 
@@ -73,8 +76,26 @@ def _with_observed_bones(motion: Motion) -> Skeleton:
     return replace(skeleton, offsets=own.astype(np.float32))
 
 
-# Tolerance of orthogonality of a rotation matrix.
-MAX_MATRIX_ERROR = 0.01
+# Tolerance of orthogonality of a rotation matrix, and of the sum of the squares of its six numbers, which is 2.
+MAX_MATRIX_ERROR, MAX_SQUARES_ERROR = 0.01, 0.5
+
+
+def matrices_of(
+    sixes: Float[np.ndarray, "frames numbers"], form: Literal["rows", "columns", "pairs"], path: Path
+) -> Float64[np.ndarray, "frames joints 3 3"]:
+    """Rotation matrices of 6 numbers a joint, by Gram-Schmidt: two rows, two columns, or the columns' numbers in turn.
+
+    Raises `FormatError` (`unit`) if most are far from rotations, as normalised ones are.
+    """
+    squares = float(np.median(np.square(sixes).reshape(-1, 6).sum(axis=1)))
+    if abs(squares - 2.0) > MAX_SQUARES_ERROR:
+        message = f"the squares of a rotation's six numbers sum to {squares:.3g}, expected 2: multiply normalised "
+        raise FormatError(f"{message}vectors by their std and add the mean", path=path, reason="unit")
+    if form == "pairs":
+        sixes = sixes.reshape(len(sixes), -1, 3, 2).swapaxes(-1, -2).reshape(sixes.shape)
+    matrices = kinematics.closest_rotations(sixes)
+    # The rows of a matrix are the columns of its inverse.
+    return np.asarray(matrices.swapaxes(-1, -2)) if form == "rows" else matrices
 
 
 def with_rotations(motion: Motion, local_matrices: Float[np.ndarray, "frames joints 3 3"]) -> Motion:

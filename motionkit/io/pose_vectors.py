@@ -35,6 +35,7 @@ JOINTS = SMPL22.num_joints
 # MotionStreamer's: path, yaw, positions, rotations.
 PATH, YAW = slice(0, 2), slice(2, 8)
 PLACES, TURNS = slice(8, 8 + 3 * JOINTS), slice(8 + 6 * JOINTS, 8 + 12 * JOINTS)
+MOTIUS_KEY = "motion_135"
 
 
 def width_of(head: FileHead) -> int:
@@ -72,7 +73,7 @@ def read_pose_vectors(path: Path, options: ReadOptions = ReadOptions()) -> Motio
     The framerate is the data set's unless `options`, or a `motions.json` there or one folder above, gives another.
     """
     data = source_file.read_bytes(path)
-    vectors = _rows(path, data, options)
+    vectors = rows_of(path, data, options)
     layout = LAYOUT_BY_WIDTH[vectors.shape[1]]
     positions = humanml3d.recover_positions(vectors, layout.skeleton.num_joints)
     positions = positions * np.float32(options.unit_metres or layout.unit_metres)
@@ -101,7 +102,7 @@ def read_motionstreamer(path: Path, options: ReadOptions = ReadOptions()) -> Mot
     vectors.
     """
     data = source_file.read_bytes(path)
-    values = _rows(path, data, options).astype(np.float64)
+    values = rows_of(path, data, options).astype(np.float64)
     # Vectors are relative to the heading: rotating by minus the yaw gives world coordinates.
     yaw = np.cumsum(np.arctan2(values[:, YAW][:, 2], values[:, YAW][:, 0]))
     back = np.stack((np.cos(-yaw / 2), 0 * yaw, np.sin(-yaw / 2), 0 * yaw), axis=-1)
@@ -109,15 +110,17 @@ def read_motionstreamer(path: Path, options: ReadOptions = ReadOptions()) -> Mot
     path_steps = np.concatenate((steps[:1], kinematics.quaternion_rotate(back[:-1], steps[1:])))
     relative = values[:, PLACES].reshape(len(values), JOINTS, 3)
     positions = kinematics.quaternion_rotate(back[:, None], relative) + np.cumsum(path_steps, axis=0)[:, None]
-    # The rows of a matrix are the columns of its inverse.
-    local = np.asarray(kinematics.closest_rotations(values[:, TURNS]).swapaxes(-1, -2))
+    local = joint_rotations.matrices_of(values[:, TURNS], "rows", path)
     local[:, 0] = kinematics.quaternion_to_matrix(back) @ local[:, 0]
     positions = positions.astype(np.float32) * np.float32(options.unit_metres or 1.0)
     motion = motion_of(path, data, positions, SMPL22, FPS, "motionstreamer", options)
     return joint_rotations.with_rotations(motion, local)
 
 
-def _rows(path: Path, data: bytes, options: ReadOptions) -> Float32[np.ndarray, "frames numbers"]:
+def rows_of(path: Path, data: bytes, options: ReadOptions) -> Float32[np.ndarray, "frames numbers"]:
+    """The vectors of a .npy file, [T, D] or [1, T, D], or of Motius' .npz."""
+    if path.suffix.lower() == ".npz":
+        return npy.open_archive(path, data).numbers(MOTIUS_KEY, (None, 135), fill_missing=options.fill_missing)
     values = npy.read_npy(path, data, None, fill_missing=options.fill_missing)
     return values.reshape(-1, values.shape[-1])
 

@@ -53,19 +53,29 @@ def _caption(line: str, path: Path, number: int) -> Caption:
 
 
 SPLITS = ("train", "val", "test")
+# Kimodo's splits of BONES-SEED: takes of contents that are new (test), and new takes of contents that train has (val).
+KIMODO = {"train": "train", "val": "test_repetition", "test": "test_content"}
+
+
+def split_files(folder: Path) -> dict[str, Path]:
+    """The split files in a folder: train.txt, val.txt, test.txt, or Kimodo's, such as train_split_paths.txt."""
+    named = {split: (folder / f"{KIMODO[split]}_split_paths.txt", folder / f"{split}.txt") for split in SPLITS}
+    return {split: path for split, paths in named.items() for path in paths if path.is_file()}
 
 
 def read_splits(folder: Path, known: Collection[str], where: str) -> tuple[dict[str, str], list[FormatError]]:
-    """Split by name, and a warning (`split-without-motion`) for each file with names not in `known`."""
+    """Split by name, and a warning (`split-without-motion`) for each file with names not in `known`.
+
+    Folders before a name are left out.
+    """
     splits: dict[str, str] = {}
     warnings: list[FormatError] = []
-    for split in SPLITS:
-        path = folder / f"{split}.txt"
+    for split, path in split_files(folder).items():
         try:
-            text = path.read_text(encoding="utf-8-sig", errors="replace") if path.is_file() else ""
+            text = path.read_text(encoding="utf-8-sig", errors="replace")
         except OSError as error:
             raise source_file.unreadable(path, error) from None
-        names = [name for line in text.splitlines() if (name := line.strip())]
+        names = [name for line in text.splitlines() if (name := line.strip().rpartition("/")[2])]
         splits |= dict.fromkeys(names, split)
         absent = [name for name in names if name not in known]
         if absent:

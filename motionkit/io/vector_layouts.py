@@ -23,14 +23,12 @@ from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.io import body_frame, g1_csv, joint_rotations, joints_npy, npy, pose_vectors, source_file
+from motionkit.io import body_frame, g1_csv, joint_rotations, joints_npy, pose_vectors, source_file
 from motionkit.io.kimodo import BODIES, g1
 from motionkit.io.registry import Format, ReadOptions, of_path
 from motionkit.io.smpl_body import mean_shape_skeleton
 
 Matrices = Float64[np.ndarray, "frames joints 3 3"]
-MOTIUS_KEY = "motion_135"
-MOST_SQUARES_OFF = 0.5
 
 
 @dataclass(frozen=True)
@@ -70,28 +68,13 @@ LAYOUTS = (
 )
 
 
-def matrices_of(sixes: Float32[np.ndarray, "frames numbers"], form: str) -> Matrices:
-    """Rotation matrices of 6 numbers a joint in one of `VectorLayout`'s forms, by Gram-Schmidt."""
-    if form == "pairs":
-        sixes = sixes.reshape(len(sixes), -1, 3, 2).swapaxes(-1, -2).reshape(sixes.shape)
-    matrices = kinematics.closest_rotations(sixes)
-    # The rows of a matrix are the columns of its inverse.
-    return np.asarray(matrices.swapaxes(-1, -2)) if form == "rows" else matrices
-
-
 def read_vectors(path: Path, options: ReadOptions, layout: VectorLayout) -> Motion:
     """Read one file as positions in metres, y up, and local rotations if these reproduce the positions.
 
     Raises `FormatError`: `no-framerate` where the layout has none, `unit` for normalised vectors.
     """
     data = source_file.read_bytes(path)
-    if path.suffix.lower() == ".npz":
-        values = npy.open_archive(path, data).numbers(
-            MOTIUS_KEY, (None, layout.width), fill_missing=options.fill_missing
-        )
-    else:
-        values = npy.read_npy(path, data, None, fill_missing=options.fill_missing)
-    values = values.reshape(-1, values.shape[-1])
+    values = pose_vectors.rows_of(path, data, options)
     usual = layout.fps or options.fps or joints_npy.read_manifest(joints_npy.manifest_of(path)).fps
     if usual is None:
         message = f"{layout.name} vectors have no framerate; give --fps (DART: 30 on BABEL, 20 on HumanML3D)"
@@ -103,11 +86,7 @@ def read_vectors(path: Path, options: ReadOptions, layout: VectorLayout) -> Moti
     if layout.rotations is not None:
         count = 1 if layout.name == "g1-38" else skeleton.num_joints
         sixes = values[:, layout.rotations : layout.rotations + 6 * count]
-        squares = float(np.median(np.square(sixes).reshape(-1, 6).sum(axis=1)))
-        if abs(squares - 2) > MOST_SQUARES_OFF:
-            message = f"the squares of a rotation's six numbers sum to {squares:.3g}, expected 2: multiply normalised "
-            raise FormatError(f"{message}vectors by their std and add the mean", path=path, reason="unit")
-        matrices = matrices_of(sixes, layout.form)
+        matrices = joint_rotations.matrices_of(sixes, layout.form, path)
     if layout.name == "g1-38" and matrices is not None:
         positions, local = g1_csv.posed(root, kinematics.matrix_to_quaternion(matrices[:, 0]), values[:, 9:])
         positions, matrices = positions.astype(np.float32), kinematics.quaternion_to_matrix(local)
@@ -163,6 +142,6 @@ MOTIUS_FORMAT = Format(
     name="motius",
     read=of_path(partial(read_vectors, layout=next(layout for layout in LAYOUTS if layout.name == "motion-135"))),
     suffixes=(".npz",),
-    accepts=lambda head: MOTIUS_KEY in head.array_names,
+    accepts=lambda head: pose_vectors.MOTIUS_KEY in head.array_names,
     turns_up=True,
 )

@@ -19,6 +19,7 @@ from tests.helpers.humanml3d_checkout import write_amass_tree, write_checkout
 from tests.helpers.outcome import Outcome
 from tests.helpers.pages import COMMAND, blocks, run_blocks, run_page, unmarked
 from tests.helpers.repository import REPOSITORY
+from tests.helpers.seed_samples import G1_STANDS, seed_row, soma_bvh, soma_motion, write_seed
 
 DOCS = REPOSITORY / "docs"
 HOWTOS = sorted((DOCS / "howto").glob("*.md"))
@@ -59,6 +60,21 @@ def test_humanml3d(run, tmp_path):
     assert native["humanml3d/000000"].fps == 100 and published["humanml3d-20fps/000000"].fps == 20
     assert len(native) == 2 * len(published) > 0
     assert len(list((tmp_path / "HumanML3D-again" / "new_joint_vecs").glob("*.npy"))) > 0
+
+
+def test_seed(run, tmp_path):
+    rows = [seed_row(name, split=split) for name, split in (("a", "train"), ("a_M", "train"), ("b", "test_content"))]
+    write_seed(tmp_path / "SEED", rows, {"a": [{"start_time": 0.0, "end_time": 0.1, "description": "A step."}]})
+    (tmp_path / "SEED" / "splits").rename(tmp_path / "splits")
+    for row in rows:
+        for column, text in (("move_soma_uniform_path", soma_bvh(*soma_motion()[:2])), ("move_g1_path", G1_STANDS)):
+            path = tmp_path / "SEED" / str(row[column])
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+    run("seed")
+    store, robot = (mk.Store.open(tmp_path / name) for name in ("store", "robot"))
+    assert list(store) == ["seed/a", "seed/a_M", "seed/b"] and list(robot) == ["seed/a", "seed/b"]
+    assert store["seed/a"].fps == 120 and store["seed/b"].split == "test"
 
 
 def test_evaluate(run, tmp_path):

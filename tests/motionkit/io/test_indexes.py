@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import motionkit as mk
+from motionkit.core.skeletons.mapping import map_joints
 from motionkit.edit.export import Selection, export, export_kinds
 from motionkit.features import humanml3d
 from motionkit.io.amass import read_amass
@@ -17,6 +18,7 @@ from motionkit.io.registry import IndexOptions, ReadOptions, SourceItem
 from motionkit.store.ingest import ingest
 from tests.helpers.amass_samples import smplh_fields, stageii_fields, write_amass
 from tests.helpers.refusal import refusal
+from tests.helpers.seed_samples import G1_STANDS, SOMA, seed_row, soma_bvh, soma_motion, write_seed
 
 HEADER = "source_path,start_frame,end_frame,new_name\n"
 
@@ -289,3 +291,63 @@ def test_published_clips_exported_are_the_published_folder(amass, stores, tmp_pa
         assert written.shape == (end - start - 1, 263)
         np.testing.assert_allclose(written, vectors, atol=2e-5)
         assert (tmp_path / f"out/new_joints/M{number:06}.npy").is_file()
+
+
+def seed_store(tmp_path: Path, source: str, *, mirrored: bool = False) -> tuple[mk.Store, list[str]]:
+    options = IndexOptions(
+        (tmp_path / "SEED/metadata/seed_metadata_v004.csv",), None, tmp_path / "SEED/splits", mirrored
+    )
+    report = ingest([tmp_path / source], tmp_path / "store", options=ReadOptions(index=options), overwrite=True)
+    return mk.Store.open(tmp_path / "store"), [problem.reason for problem in (*report.problems, *report.warnings)]
+
+
+def test_bones_seed(tmp_path: Path) -> None:
+    """Native framerate, joints, captions with their seconds, Kimodo's splits; the mirrored files only on request."""
+    root, world, joints = soma_motion()
+    rows = [
+        seed_row("walk_001__A001", split="train"),
+        seed_row("walk_001__A001_M", split="train"),
+        seed_row("walk_002__A001", split="test_repetition", content_natural_desc_4="A person walks forward."),
+        seed_row("bow_001__A001", split="test_content", move_soma_uniform_path="", move_soma_proportional_path=""),
+    ]
+    events = {"walk_001__A001": [{"start_time": 0.0, "end_time": 0.25, "description": "The person starts."}]}
+    write_seed(tmp_path / "SEED", rows, events)
+    for name in ("walk_001__A001", "walk_001__A001_M", "walk_002__A001"):
+        path = tmp_path / f"SEED/soma_uniform/bvh/240101/{name}.bvh"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(soma_bvh(root, world))
+    store, reasons = seed_store(tmp_path, "SEED/soma_uniform")
+    assert reasons == ["missing-file"]
+    assert list(store) == ["seed/walk_001__A001", "seed/walk_002__A001"]
+    motion = store["seed/walk_001__A001"]
+    assert (motion.fps, motion.split, motion.action, motion.style) == (120, "train", "walking", "neutral")
+    assert (motion.provenance.subject, motion.provenance.source, motion.provenance.subset) == (
+        *("A001", "seed", "soma_uniform"),
+    )
+    order = [motion.skeleton.joint_names.index(name) for name in SOMA.joint_names]
+    np.testing.assert_allclose(motion.joint_positions[:, order], joints, atol=1e-4)
+    assert map_joints(motion, "smpl22").shape == (48, 22, 3)
+    assert motion.captions == (
+        mk.Caption("A person walks forward."),
+        mk.Caption("Someone strolls ahead, relaxed."),
+        mk.Caption("walk forward"),
+        mk.Caption("The person starts.", 0.0, 0.25),
+    )
+    assert (store["seed/walk_002__A001"].split, len(store["seed/walk_002__A001"].captions)) == ("val", 3)
+    # The robot's table is read where the sources have no other form of the motion; the mirrored file as it is.
+    table = tmp_path / "SEED/g1/csv/240101/bow_001__A001.csv"
+    table.parent.mkdir(parents=True)
+    table.write_text(G1_STANDS)
+    store, reasons = seed_store(tmp_path, "SEED", mirrored=True)
+    assert not reasons and len(store) == 4
+    assert (store["seed/bow_001__A001"].split, store["seed/bow_001__A001"].provenance.subset) == ("test", "g1")
+    np.testing.assert_array_equal(store["seed/walk_001__A001_M"].joint_positions, motion.joint_positions)
+
+
+def test_what_is_wrong_with_bones_seed_is_reported(tmp_path: Path) -> None:
+    rows = [seed_row("a", move_soma_uniform_path="", move_soma_proportional_path="", move_g1_path=""), seed_row("b")]
+    path = write_seed(tmp_path / "SEED", rows, {"b": [{"start_time": "soon", "end_time": 1, "description": "x"}]})
+    index = read_index(path)
+    assert [(problem.reason, problem.line) for problem in index.problems] == [("index-entry", 2), ("index-entry", 3)]
+    (path.parent / "seed_metadata_v002_temporal_labels.jsonl").write_text('{"filename": "b"}\n')
+    assert refusal(read_index, path).reason == "index"

@@ -189,6 +189,7 @@ def test_motionstreamer(tmp_path: Path, motion: mk.Motion) -> None:
     [
         *((width, lambda rows: np.random.default_rng(0).normal(size=rows.shape), "unit") for width in (263, 262, 272)),
         *((width, lambda rows: np.where(rows == rows[3], np.nan, rows), "nan") for width in (263, 262)),
+        (272, lambda rows: np.where(np.arange(272) >= 140, 0.0, rows), "unit"),
         (272, lambda rows: rows[:0], "no-frames"),
         (263, lambda rows: np.full(rows.shape, 1e7), "range"),
         (263, lambda rows: rows.astype("U8"), "not-a-number"),
