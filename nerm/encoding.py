@@ -44,7 +44,9 @@ PROBES = 8
 SMALLEST_EFFECT = 0.05
 
 
-def encode_by_optimisation(trained: TrainedField, batch: PoseBatch) -> Float32[Tensor, "batch latent"]:
+def encode_by_optimisation(
+    trained: TrainedField, batch: PoseBatch, evaluations: int = EVALUATIONS
+) -> Float32[Tensor, "batch latent"]:
     """The z of each clip of a batch: argmin ‖f_θ(t, z, s) − x‖² + λ_KL·½‖z‖²/d, independent of the other clips.
 
     A clip's poses must be in order of time. ½‖z‖²/d is the KL term for a fixed posterior variance; a field without
@@ -70,7 +72,7 @@ def encode_by_optimisation(trained: TrainedField, batch: PoseBatch) -> Float32[T
         (gradients,) = torch.autograd.grad(losses.sum(), moved)
         return losses.detach(), gradients
 
-    return (start + unit * minimise_each(objective, torch.zeros_like(start), EVALUATIONS)).cpu()
+    return (start + unit * minimise_each(objective, torch.zeros_like(start), evaluations)).cpu()
 
 
 @torch.no_grad()
