@@ -2,6 +2,7 @@
 
 import dataclasses
 import time
+from collections import Counter
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass
@@ -12,8 +13,10 @@ from torch import Tensor
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import sha256_of
+from motionkit.core.progress import OnProgress, ignore
 from motionkit.core.shapes import Float32
 from motionkit.data.captions import actions_of_windows, captions_of_windows
+from motionkit.data.windows import open_frames
 from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
 from motionkit.training.loop import Learner, dropout_from, run_training, seeded_initialisation, step_generator
@@ -32,6 +35,7 @@ from motionkit.training.networks import (
 )
 from motionkit.training.run import RunError, StageContext
 from motionkit.training.text import TextEncoder, embed_texts, load_text_encoder
+from nerm.encoding import encode_varied, vary
 from nerm.latents import LocalLatents, first_read, in_use, measured_space
 from nerm.model import TrainedDenoiser, TrainedField, load_field, save_denoiser, unit_rows
 from nerm.network import Denoiser
@@ -45,24 +49,48 @@ DROP, ACTION_SHARE = 0.1, 0.25
 
 @dataclass(frozen=True, eq=False)
 class LatentCorpus:
-    """n posteriors with their conditions; `banks` is the layout of z (None: global)."""
+    """n posteriors with their conditions; `banks` is the layout of z (None: global).
+
+    A step draws windows in proportion to `weights` (None: evenly).
+    """
 
     means: Float32[Tensor, "windows latent"]
     log_variances: Float32[Tensor, "windows latent"]
     conditions: WindowConditions
     banks: LocalLatents | None = None
+    weights: Float32[Tensor, "windows"] | None = None
 
 
 def corpus_of(
-    field: TrainedField, store: Store, encoder: TextEncoder | None, paraphrases: int, seed: int
+    field: TrainedField,
+    store: Store,
+    encoder: TextEncoder | None,
+    config: DenoiserConfig,
+    seed: int,
+    on_progress: OnProgress = ignore,
 ) -> LatentCorpus:
     """A field's posteriors with their windows' captions (embedded, and cached in the store's cache folder) and actions.
 
-    Up to `paraphrases` rewordings of each caption are drawn from `seed`; they stand for it in half of its uses.
+    `config.variations` of each window are encoded (`nerm.encoding.vary`) and get its posterior's variance. If
+    `config.balanced`, windows are weighted so that each caption (or action) is drawn equally often. Up to `paraphrases`
+    rewordings of each caption are drawn from `seed`; they stand for it in half of its uses.
     """
-    windows, sequences = field.windows, store.columns("captions", "action")
-    captions = captions_of_windows(windows, sequences) if encoder is not None else [()] * len(windows)
-    captions = with_paraphrases(captions, paraphrases, np.random.default_rng(seed))
+    windows, captioned, means = [field.windows], [field.windows], [field.posterior_mean]
+    rng = np.random.default_rng(seed)
+    if config.variations:
+        source, frames = open_frames(field.vectors, store, field.config.where)
+        for _ in range(config.variations):
+            varied, at_own_tempo = vary(field.windows, source, rng)
+            windows, captioned = [*windows, varied], [*captioned, at_own_tempo]
+            means.append(encode_varied(field, varied, frames, on_progress))
+    sequences = store.columns("captions", "action")
+    captions = [of for each in captioned for of in captions_of_windows(each, sequences)]
+    if encoder is None:
+        captions = [()] * len(captions)
+    actions = [action for each in captioned for action in actions_of_windows(each, sequences)]
+    labels = [texts[0] if texts else action for texts, action in zip(captions, actions, strict=True)]
+    counts = Counter(labels)
+    captions = with_paraphrases(captions, config.conditions.paraphrases, np.random.default_rng(seed))
 
     def embed(texts: list[str]) -> Float32[Tensor, "texts dimension"]:
         """Unit-length embeddings after a row of zeros; a single zero without an encoder."""
@@ -71,9 +99,12 @@ def corpus_of(
         rows = torch.from_numpy(unit_rows(embed_texts(encoder, texts[1:], cache_root(store.path, store.fingerprint))))
         return torch.cat((torch.zeros((1, rows.shape[1])), rows))
 
-    duration = torch.from_numpy(windows.duration_seconds / windows.max_duration_seconds).to(torch.float32)
-    conditions = window_conditions(captions, actions_of_windows(windows, sequences), duration, embed)
-    return LatentCorpus(field.posterior_mean, field.posterior_log_variance, conditions, field.network.local)
+    seconds = np.concatenate([each.duration_seconds for each in windows])
+    duration = torch.from_numpy(seconds / field.max_duration_seconds).to(torch.float32)
+    conditions = window_conditions(captions, actions, duration, embed)
+    log_variances = field.posterior_log_variance.repeat(len(windows), 1)
+    weights = torch.tensor([1.0 / counts[label] for label in labels]) if config.balanced else None
+    return LatentCorpus(torch.cat(means), log_variances, conditions, field.network.local, weights)
 
 
 class DenoiserTraining:
@@ -104,7 +135,10 @@ class DenoiserTraining:
         """One optimiser step on a fresh batch; returns the loss of Eq. 5 (mean over the numbers in use)."""
         config, diffusion, schedule = self.config, self.config.diffusion, self.config.schedule
         mine = self.ranks.rows_of(schedule.batch_size)
-        rows = torch.randint(len(self.corpus.means), (schedule.batch_size,), generator=generator)
+        if (weights := self.corpus.weights) is None:
+            rows = torch.randint(len(self.corpus.means), (schedule.batch_size,), generator=generator)
+        else:
+            rows = torch.multinomial(weights, schedule.batch_size, replacement=True, generator=generator)
         drawn = reparameterized(self.corpus.means[rows], self.corpus.log_variances[rows], generator)  # anew (§3.2)
         latents = self.space.standardise(drawn)
         chance = torch.rand((3, len(rows)), generator=generator)
@@ -155,7 +189,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         )
     started = time.perf_counter()
     encoder = _encoder(settings)
-    corpus = corpus_of(field, store, encoder, settings.conditions.paraphrases, context.seed)
+    corpus = corpus_of(field, store, encoder, settings, context.seed, context.on_progress)
     folder = context.begin("denoiser", config, store_fingerprint=store.fingerprint, builds_on=("field",))
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
     figures = run_training(context, training, folder)
@@ -169,7 +203,8 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
     facts = {
         "steps": training.steps,
         "parameters": sum(parameter.numel() for parameter in training.denoiser.parameters()),
-        "windows": len(corpus.means),
+        "windows": len(field.windows),
+        "latents": len(corpus.means),
         "captions": int(corpus.conditions.num_captions.sum()) // max(1, 2 * settings.conditions.paraphrases),
         "actions": len(corpus.conditions.sizes.actions),
         "wall_seconds": round(time.perf_counter() - started, 1),

@@ -8,13 +8,15 @@ in it; decoded windows are cross-faded. Long captures, gaps and uneven times nee
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from motionkit.core.motion import mirror_positions
+from motionkit.core.progress import OnProgress, tracked
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import normalise_seconds
@@ -31,6 +33,7 @@ from motionkit.data.windows import (
 from motionkit.features import field
 from motionkit.fields.assembly import AssembledField, Piece, assemble, even_starts
 from motionkit.fields.motion_field import MotionField, Observation
+from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
 from motionkit.training.run import RunFolder
 from nerm.model import TrainedField, load_field
@@ -45,23 +48,23 @@ SMALLEST_EFFECT = 0.05
 
 
 def encode_by_optimisation(
-    trained: TrainedField, batch: PoseBatch, evaluations: int = EVALUATIONS
+    trained: TrainedField,
+    batch: PoseBatch,
+    evaluations: int = EVALUATIONS,
+    unit: Float32[Tensor, "latent"] | None = None,
 ) -> Float32[Tensor, "batch latent"]:
     """The z of each clip of a batch: argmin ‖f_θ(t, z, s) − x‖² + λ_KL·½‖z‖²/d, independent of the other clips.
 
     A clip's poses must be in order of time. ½‖z‖²/d is the KL term for a fixed posterior variance; a field without
-    distributions has none (Eq. 9). The result is on the CPU.
+    distributions has none (Eq. 9). `unit` scales the numbers' steps (default: by their effect in each clip). The result
+    is on the CPU.
     """
     config, device = trained.config, trained.device
     kl_weight = config.loss.kl_weight if config.latents.variational else 0.0
-    coordinates, fps, vectors = (torch.from_numpy(each) for each in (batch.coordinates, batch.fps, batch.vectors))
-    start, fps = torch.zeros(len(vectors), trained.posterior_mean.shape[1]), fps.to(device)
-    if trained.linear_model is not None:
-        start = trained.linear_model.fit(coordinates, vectors)
-    start, target = start.to(device), trained.scaling.apply(vectors.to(device))
-    with torch.no_grad():
-        encoded = trained.network.encode_coordinates(coordinates.to(device), fps)
-    unit = 1.0 / effect_of_numbers(trained, start, encoded, fps)
+    start, encoded, fps = _starts(trained, batch)
+    target = trained.scaling.apply(torch.from_numpy(batch.vectors).to(device))
+    if unit is None:
+        unit = 1.0 / effect_of_numbers(trained, start, encoded, fps)
 
     @torch.enable_grad()
     def objective(moved: Tensor) -> tuple[Tensor, Tensor]:
@@ -73,6 +76,18 @@ def encode_by_optimisation(
         return losses.detach(), gradients
 
     return (start + unit * minimise_each(objective, torch.zeros_like(start), evaluations)).cpu()
+
+
+@torch.no_grad()
+def _starts(
+    trained: TrainedField, batch: PoseBatch
+) -> tuple[Float32[Tensor, "batch latent"], EncodedCoordinates, Float64[Tensor, "batch"]]:
+    """The latents that optimisation starts from, the encoded coordinates and the framerates, on the field's device."""
+    coordinates, fps = torch.from_numpy(batch.coordinates), torch.from_numpy(batch.fps).to(trained.device)
+    start = torch.zeros(len(fps), trained.posterior_mean.shape[1])
+    if trained.linear_model is not None:
+        start = trained.linear_model.fit(coordinates, torch.from_numpy(batch.vectors))
+    return start.to(trained.device), trained.network.encode_coordinates(coordinates.to(trained.device), fps), fps
 
 
 @torch.no_grad()
@@ -160,6 +175,8 @@ def effect_of_numbers(
 
 POSES_TO_ENCODE_FROM = 100
 WINDOWS_AT_ONCE = 64
+# Latents to learn from are good after a few evaluations.
+POSES_OF_VARIED, EVALUATIONS_OF_VARIED = 64, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,6 +283,51 @@ def encode_windows(trained: TrainedField, windows: Windows, frames: FrameValues)
     poses = WindowPoses(windows, frames)
     batches = (poses.evenly(rows, POSES_TO_ENCODE_FROM) for rows in chunks(len(windows), WINDOWS_AT_ONCE))
     return torch.cat([encode_by_optimisation(trained, batch) for batch in batches])
+
+
+def vary(windows: Windows, source: PositionCache, rng: np.random.Generator) -> tuple[Windows, Windows]:
+    """The windows begun up to a second earlier or later, mirrored or not, at 0.9 to 1.1 times their tempo.
+
+    The same windows twice: at the framerates of the new tempo, and at the sequences' own, which captions refer to.
+    """
+    sequence = np.searchsorted(source.sequence_index, windows.sequence_index)
+    num_frames, percent = source.num_frames[sequence].astype(np.int64), rng.integers(90, 111, len(windows))
+    longest = np.floor(windows.max_duration_seconds * windows.fps * percent / 100 + 1e-6).astype(np.int64) + 1
+    length = np.minimum(longest, num_frames)
+    moved = np.round(rng.integers(-4, 5, len(windows)) * 0.25 * windows.fps).astype(np.int64)
+    start = np.clip(windows.start_frame + moved, 0, num_frames - length)
+    start_row = source.start_row[sequence].astype(np.int64) + start
+    mirrored = rng.random(len(windows)) < 0.5
+    first_pose = np.array(source.positions[start_row])
+    first_pose[mirrored] = mirror_positions(first_pose[mirrored], SMPL22.left_right_pairs)
+    yaw, origin = field.window_frame(first_pose)
+    at_own_tempo = replace(
+        windows,
+        start_row=start_row,
+        start_frame=start,
+        num_frames=length,
+        mirrored=mirrored,
+        yaw=yaw,
+        origin=origin,
+    )
+    numerator, denominator = windows.fps_numerator * percent, windows.fps_denominator * 100
+    return replace(at_own_tempo, fps_numerator=numerator, fps_denominator=denominator), at_own_tempo
+
+
+def encode_varied(
+    trained: TrainedField, windows: Windows, frames: FrameValues, on_progress: OnProgress
+) -> Float32[Tensor, "windows latent"]:
+    """The latents of many windows by a few evaluations from the linear model's fit, with one unit for all."""
+    poses, every = WindowPoses(windows, frames), max(1, len(windows) // WINDOWS_AT_ONCE)
+    some = poses.evenly(np.arange(0, len(windows), every)[:WINDOWS_AT_ONCE], POSES_OF_VARIED)
+    unit = 1.0 / effect_of_numbers(trained, *_starts(trained, some)).mean(dim=0)
+    batches = list(chunks(len(windows), WINDOWS_AT_ONCE))
+    return torch.cat(
+        [
+            encode_by_optimisation(trained, poses.evenly(rows, POSES_OF_VARIED), EVALUATIONS_OF_VARIED, unit)
+            for rows in tracked(on_progress, "varied windows", batches, len(batches))
+        ]
+    )
 
 
 def load(run: Path) -> NermEncoder:

@@ -239,13 +239,17 @@ class ConditionsConfig:
 class DenoiserConfig:
     """The stage `denoiser` (paper §3.2, D).
 
-    `ema_decay` is the decay of the weights' moving average (0: none).
+    `variations` of each training window are encoded and learnt from beside it (ours): begun earlier or later, mirrored
+    or not, faster or slower. With `balanced` each caption (or action) is drawn equally often (ours). `ema_decay` is the
+    decay of the weights' moving average (0: none).
     """
 
     network: TransformerConfig = TransformerConfig()
     diffusion: DiffusionConfig = DiffusionConfig()
     conditions: ConditionsConfig = ConditionsConfig()
     schedule: Schedule = Schedule(epochs=3000)
+    variations: int = 0
+    balanced: bool = False
     ema_decay: float = 0.0
     precision: Precision = "float32"
 
@@ -293,8 +297,9 @@ def nano() -> NermConfig:
             DenoiserConfig(),
             "network.num_layers=5 network.width=192 network.ffn_width=512 network.dropout=0 network.latent_tokens=8 "
             "diffusion.prediction=velocity diffusion.sampling_steps=10 diffusion.guidance_scale=2 "
-            "conditions.paraphrases=12 schedule.epochs=none schedule.steps=8000 schedule.learning_rate=2e-3 "
-            "schedule.kind=cosine schedule.warmup_fraction=0.02 ema_decay=0.995 precision=auto",
+            "conditions.paraphrases=12 variations=4 balanced=true schedule.epochs=none schedule.steps=8000 "
+            "schedule.learning_rate=2e-3 schedule.kind=cosine schedule.warmup_fraction=0.02 ema_decay=0.995 "
+            "precision=auto",
         ),
     )
 
@@ -305,7 +310,7 @@ def small() -> NermConfig:
         nano(),
         "field.windows.mirrored=true field.schedule.steps=16000 denoiser.network.num_layers=7 "
         "denoiser.network.width=256 denoiser.network.ffn_width=768 denoiser.schedule.steps=16000 "
-        "denoiser.schedule.learning_rate=1.5e-3 denoiser.ema_decay=0.998",
+        "denoiser.schedule.learning_rate=1.5e-3 denoiser.variations=2 denoiser.ema_decay=0.998",
     )
 
 
@@ -319,7 +324,7 @@ def base() -> NermConfig:
         "field.optimizer.attention_learning_rate=5e-4 denoiser.network.num_layers=9 denoiser.network.width=512 "
         "denoiser.network.num_heads=8 denoiser.network.ffn_width=2048 denoiser.network.dropout=0.1 "
         "denoiser.network.latent_tokens=16 denoiser.schedule.steps=80000 denoiser.schedule.batch_size=256 "
-        "denoiser.schedule.learning_rate=3e-4 denoiser.ema_decay=0.9999",
+        "denoiser.variations=2 denoiser.schedule.learning_rate=3e-4 denoiser.ema_decay=0.9999",
     )
 
 
@@ -330,7 +335,7 @@ def demo() -> NermConfig:
         "codebook.network.width=64 codebook.network.num_codes=128 codebook.schedule.steps=120 "
         f"codebook.schedule.batch_size=32 codebook.schedule.drop_every={100 / 120} field.windows.stride_seconds=5 "
         "field.schedule.steps=1200 field.contact_steps=0 denoiser.schedule.steps=1000 "
-        "denoiser.conditions.paraphrases=0",
+        "denoiser.conditions.paraphrases=0 denoiser.variations=0",
     )
 
 
