@@ -7,12 +7,13 @@ import pytest
 import torch
 
 from motionkit.core.motion import Motion
+from motionkit.core.progress import ignore
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
-from motionkit.features.field import FIELD_VECTORS
+from motionkit.features.field import FIELD_VECTORS, decode
 from motionkit.fields.motion_field import MotionEncoder, Observation, Poses, to_motion
-from nerm.encoding import NermEncoder, encode_by_optimisation, minimise_each
+from nerm.encoding import NermEncoder, encode_by_optimisation, encode_varied, minimise_each, vary
 from nerm.field_training import FieldTraining
 from nerm.model import TrainedField
 from tests.helpers.completing import complete
@@ -81,6 +82,31 @@ def test_encoding_by_optimisation_finds_a_training_window_again(small_field: Tra
     batch = small_poses().evenly(np.arange(4), 61)
     latents = encode_by_optimisation(small_field, batch)
     assert max(error_mm(small_field, latents[window], window, 120) for window in range(4)) < 5.0
+
+
+def test_varied_windows_are_the_corpus_mirrored_moved_and_at_another_tempo(small_field: TrainedField) -> None:
+    source = analytic_source(rates=(120, 30), seconds=9.0)
+    windows = cut_windows(source, max_duration_seconds=4.0, stride_seconds=2.0)
+    many = windows.select(np.repeat(np.arange(len(windows)), 50))
+    varied, at_own_tempo = vary(many, source, np.random.default_rng(0))
+    tempo = varied.fps / at_own_tempo.fps
+    assert 0.9 <= tempo.min() < 0.92 and 1.08 < tempo.max() <= 1.1
+    assert varied.duration_seconds.max() <= 4.0 and varied.duration_seconds.min() > 3.9
+    assert (varied.start_frame + varied.num_frames <= source.num_frames[many.sequence_index]).all()
+    moved = at_own_tempo.start_seconds - many.start_seconds
+    assert (np.abs(moved) <= 1.0 + 1e-9).all() and len(np.unique(moved.round(2))) > 5
+    assert 0.4 < varied.mirrored.mean() < 0.6
+    # In its own frame every window begins at the origin and faces Z.
+    frames = FrameValues(source.positions, FIELD_VECTORS)
+    batch = WindowPoses(varied, frames).evenly(np.arange(len(varied)), 33)
+    assert np.abs(batch.vectors[:, 0, [0, 2]]).max() < 1e-5
+    latents = encode_varied(small_field, varied, frames, ignore)
+    with torch.no_grad():
+        fps = torch.from_numpy(batch.fps)
+        encoded = small_field.network.encode_coordinates(torch.from_numpy(batch.coordinates), fps)
+        decoded = small_field.scaling.invert(small_field.network.decode(latents, encoded, fps))
+    errors = np.linalg.norm(decode(decoded.numpy()) - decode(batch.vectors), axis=-1).mean(axis=(1, 2))
+    assert np.median(errors) < 0.03
 
 
 def test_each_row_is_minimised_by_itself() -> None:
