@@ -126,6 +126,12 @@ class SampleSet:
         sequences = self.sequences.select(chosen)
         return replace(self, name=name or self.name, sequences=sequences, local_rotations=rotations, **about)
 
+    def cut(self, num_frames: Int64[np.ndarray, "sequences"], rng: np.random.Generator) -> "SampleSet":
+        """The sequences cut to at most these numbers of frames, beginning at a random frame."""
+        starts = rng.integers(0, np.maximum(1, self.sequences.num_frames - num_frames + 1))
+        parts = [each[first : first + n] for each, first, n in zip(self.sequences, starts, num_frames, strict=True)]
+        return replace(self, sequences=Ragged.of(parts), local_rotations=None)
+
     def rows_by_group(self) -> dict[str, list[int]]:
         """The sequences of each prompt, prompts in order of appearance; without groups each is its own."""
         found: dict[str, list[int]] = {}
@@ -166,6 +172,7 @@ class Variant(Enum):
     KEPT_AT_20 = "{} kept at 20 fps, SLERP"
     KEPT_AS_VECTORS = "{} kept at 20 fps, as vectors (handicapped)"
     AS_GENERATOR = "{}, as a generator"
+    CUT = "{}, as long as generated motions"
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+
 from eval.clip_fid.score import KINEMATIC, ClipError, Comparison, FeatureSource
 from eval.detail import LEAST_FPS, RealDetail
 from eval.detail import VERSION as DETAIL_VERSION
@@ -35,11 +37,13 @@ P2 = RowId(REAL.system, Variant.HALVES)
 SLERP = RowId(REAL.system, Variant.KEPT_AT_20)
 VECTORS = RowId(REAL.system, Variant.KEPT_AS_VECTORS)
 TRAINING = RowId(TRAINING_TAKES.system, Variant.AS_GENERATOR)
-REFERENCES = (P1, P2, TRAINING, SLERP, VECTORS)
+TRAINING_CUT = RowId(TRAINING_TAKES.system, Variant.CUT)
+REFERENCES = (P1, P2, TRAINING, TRAINING_CUT, SLERP, VECTORS)
 ROW_NOTES = {
     P1: "two draws from the same takes: what sampling alone leaves",
     P2: "takes of one half against takes of the other, few against few; ± is of a single split",
     TRAINING: "random subsets of as many takes as the row with the fewest: what a generator that is real motion scores",
+    TRAINING_CUT: "the same, each cut at random to the duration of a generated motion: equally much real motion",
     SLERP: "joint rotations on great arcs, the root on straight lines: the fair way to upsample",
     VECTORS: "humanml3d vectors interpolated with per-frame velocities unscaled: a handicap of the procedure",
 }
@@ -241,9 +245,15 @@ def make_column(fps: Fraction, real: RealMotion, train: RealMotion, fields: Mode
     rows |= samples_at(real, fps, config)
     if column.train is None or train is real:
         return Column(fps, reference, rows, column.train)
-    takes = [each.num_takes for row, each in rows.items() if row not in REFERENCES] or [reference.num_takes]
-    sizes = {TRAINING: min([*takes, column.train.num_sequences])}
-    return Column(fps, reference, rows | {TRAINING: column.train}, column.train, sizes)
+    generated = [each for row, each in rows.items() if row not in REFERENCES]
+    fewest = min((reference, *generated)[bool(generated) :], key=lambda each: each.num_takes)
+    sizes = {TRAINING: min(fewest.num_takes, column.train.num_sequences)}
+    rows[TRAINING] = column.train
+    if generated:
+        rng = np.random.default_rng((config.clips.seed, 7))
+        rows[TRAINING_CUT] = column.train.cut(rng.choice(fewest.sequences.num_frames, column.train.num_sequences), rng)
+        sizes[TRAINING_CUT] = sizes[TRAINING]
+    return Column(fps, reference, rows, column.train, sizes)
 
 
 def generated_at(fields: ModelFields, real: SampleSet, fps: Fraction, missing: Missing) -> dict[RowId, SampleSet]:
@@ -322,7 +332,7 @@ def detail_blocks(
     config: EvalConfig,
 ) -> list[Block]:
     """The detail profile of rows at 40 fps or more; none below, without training motion, or of frozen real motion."""
-    rows = {row: samples for row, samples in rows.items() if row not in (REAL, P1)}
+    rows = {row: samples for row, samples in rows.items() if row not in (REAL, P1, TRAINING_CUT)}
     name, blocks = f"detail, {label(real.fps)}", list[Block]()
     if train is None or real.fps < LEAST_FPS or not rows:
         return blocks
