@@ -45,6 +45,8 @@ from nerm.recipes import DenoiserConfig, NermConfig
 WEIGHT_DECAY = 0.01
 # Shares of windows without a condition, and of those with a text and an action that get the action.
 DROP, ACTION_SHARE = 0.1, 0.25
+# Times the largest number of all posteriors: a varied window's latent beyond it is left out.
+FARTHEST = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +78,20 @@ def corpus_of(
     rewordings of each caption are drawn from `seed`; they stand for it in half of its uses.
     """
     windows, captioned, means = [field.windows], [field.windows], [field.posterior_mean]
+    log_variances, farthest = [field.posterior_log_variance], FARTHEST * field.posterior_mean.abs().amax(dim=0)
     rng = np.random.default_rng(seed)
     if config.variations:
         source, frames = open_frames(field.vectors, store, field.config.where)
         for _ in range(config.variations):
             varied, at_own_tempo = vary(field.windows, source, rng)
-            windows, captioned = [*windows, varied], [*captioned, at_own_tempo]
-            means.append(encode_varied(field, varied, frames, on_progress))
+            latents = encode_varied(field, varied, frames, on_progress)
+            # A field that learnt from few motions cannot hold their mirror images.
+            held = (latents.abs() <= farthest).all(dim=1)
+            windows, captioned = (
+                [*windows, varied.select(held.numpy())],
+                [*captioned, at_own_tempo.select(held.numpy())],
+            )
+            means, log_variances = [*means, latents[held]], [*log_variances, field.posterior_log_variance[held]]
     sequences = store.columns("captions", "action")
     captions = [of for each in captioned for of in captions_of_windows(each, sequences)]
     if encoder is None:
@@ -102,9 +111,8 @@ def corpus_of(
     seconds = np.concatenate([each.duration_seconds for each in windows])
     duration = torch.from_numpy(seconds / field.max_duration_seconds).to(torch.float32)
     conditions = window_conditions(captions, actions, duration, embed)
-    log_variances = field.posterior_log_variance.repeat(len(windows), 1)
     weights = torch.tensor([1.0 / counts[label] for label in labels]) if config.balanced else None
-    return LatentCorpus(torch.cat(means), log_variances, conditions, field.network.local, weights)
+    return LatentCorpus(torch.cat(means), torch.cat(log_variances), conditions, field.network.local, weights)
 
 
 class DenoiserTraining:

@@ -1,12 +1,16 @@
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from eval.reconstruction import DISTANCE
 from eval.tables.nerm import reconstruction
+from motionkit.store.reader import Store
 from motionkit.training.run import RunError, RunFolder, StageContext
+from nerm.denoiser import corpus_of
 from nerm.model import load_field
 from nerm.recipes import FIELD, LOCAL
 from tests.helpers.table_request import table_request
@@ -59,3 +63,20 @@ def test_table_4_is_built_from_a_store_and_a_run(store: Path, run: Path, tmp_pat
     for row in mre.rows:
         # No vector is farther than its rms times the root of its 263 numbers.
         assert all(cell.details[DISTANCE] <= cell.value * 263**0.5 for cell in row.cells.values())
+
+
+def test_the_denoiser_learns_variations_and_draws_each_caption_equally_often(
+    store: Path, run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    field, opened, settings = load_field(run), Store.open(store), replace(NERM.denoiser, variations=2, balanced=True)
+    plain = corpus_of(field, opened, None, NERM.denoiser, 0)
+    assert plain.weights is None
+    # Four motions do not hold their variations: all are left out.
+    assert torch.equal(corpus_of(field, opened, None, settings, 0).means, plain.means)
+    monkeypatch.setattr("nerm.denoiser.FARTHEST", np.inf)
+    corpus = corpus_of(field, opened, None, settings, 0)
+    count = len(plain.means)
+    assert torch.equal(corpus.means[:count], plain.means) and corpus.weights is not None
+    assert {3 * count} == {len(corpus.means), len(corpus.log_variances), len(corpus.weights)}
+    shares = torch.zeros(len(corpus.conditions.sizes.actions)).index_add(0, corpus.conditions.action, corpus.weights)
+    torch.testing.assert_close(shares, torch.ones_like(shares))
