@@ -7,7 +7,7 @@ Sources: http://research.cs.wisc.edu/graphics/Courses/cs-838-1999/Jeff/ASF-AMC.h
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -129,7 +129,7 @@ def _parsed_asf(data: bytes, path: Path, unit_metres: float | None) -> AsfSkelet
     root, root_position = AsfBone("root", np.zeros(3), frame, dof), np.array(_numbers(root_lines, "position", 3, path))
     bones = _bones(sections.get("bonedata", []), path)
     parents = _parents(sections.get("hierarchy", []), bones, path)
-    ordered = _depth_first(parents)
+    ordered = list(_depth_first(parents))
     lost = sorted(set(bones) - set(ordered))
     if lost:
         raise _fault(f"bones not connected to the root in :hierarchy: {', '.join(lost)}"[:400], path)
@@ -218,17 +218,11 @@ def _parents(lines: list[Line], bones: Mapping[str, AsfBone], path: Path) -> dic
     return {name: parents[name] for name in bones if name in parents}
 
 
-def _depth_first(parents: Mapping[str, str]) -> list[str]:
-    """The root and all bones below it, parents first."""
-    children: dict[str, list[str]] = {}
-    for name, parent in parents.items():
-        children.setdefault(parent, []).append(name)
-    ordered, stack = [], ["root"]
-    while stack:
-        name = stack.pop()
-        ordered.append(name)
-        stack += reversed(children.get(name, []))
-    return ordered
+def _depth_first(parents: Mapping[str, str], name: str = "root") -> Iterator[str]:
+    """A bone, by default the root, and all below it, parents first."""
+    yield name
+    for child in (child for child, parent in parents.items() if parent == name):
+        yield from _depth_first(parents, child)
 
 
 def _skeleton(name: str, bones: tuple[AsfBone, ...], parents: Mapping[str, str], metres: float) -> Skeleton:

@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,15 +24,8 @@ TYPICAL_CHAIN_METRES = 1.25
 PLAUSIBLE_FACTOR = 2.2
 # Characters may be giants, if somebody says so; units differ by 10 and more.
 GIVEN_UNIT_FACTOR = 5.0
-TRUNK_AND_LEGS = (
-    ("left_ankle", "left_knee"),
-    ("left_knee", "left_hip"),
-    ("pelvis", "spine1"),
-    ("spine1", "spine2"),
-    ("spine2", "spine3"),
-    ("spine3", "neck"),
-    ("neck", "head"),
-)
+_CHAINS = ("left_ankle left_knee left_hip", "pelvis spine1 spine2 spine3 neck head")
+TRUNK_AND_LEGS = tuple(bone for chain in _CHAINS for bone in pairwise(chain.split()))
 
 
 @lru_cache(maxsize=64)  # the takes of a corpus share their skeletons

@@ -22,7 +22,7 @@ from motionkit.core.files import whole_number
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import source_file
 from motionkit.io.bvh import BvhDocument, read_document
-from motionkit.io.registry import Format, ReadOptions, of_document
+from motionkit.io.registry import FileHead, Format, ReadOptions, of_document
 
 # LaFAN1
 THEMES = (
@@ -35,18 +35,7 @@ TEST_SUBJECTS = ("subject5",)
 # 100STYLE
 CUTS_FILE = "Frame_Cuts.csv"
 STYLE_COLUMN = "STYLE_NAME"
-ACTIONS = {
-    "BR": "backward run",
-    "BW": "backward walk",
-    "FR": "forward run",
-    "FW": "forward walk",
-    "ID": "idle",
-    "SR": "sidestep run",
-    "SW": "sidestep walk",
-    "TR1": "transition 1",
-    "TR2": "transition 2",
-    "TR3": "transition 3",
-}
+ACTIONS: dict[str, str] = source_file.shipped("io/bodies.toml")["100style"]
 STYLE_AND_KIND = re.compile(rf"(?P<style>[A-Za-z0-9]+)_(?P<kind>{'|'.join(ACTIONS)})", re.IGNORECASE)
 ABSENT = ("", "n/a", "nan", "none")
 
@@ -137,19 +126,14 @@ def _cuts(table: Path, modified: int) -> Mapping[tuple[str, str], tuple[int, int
     return cuts
 
 
-LAFAN1_FORMAT = Format(
-    name="lafan1",
-    read=of_document(read_lafan1),
-    document=read_lafan1,
-    suffixes=(".bvh",),
-    accepts=lambda head: LAFAN1_NAME.fullmatch(head.path.stem) is not None,
-    turns_up=True,
-)
-STYLE100_FORMAT = Format(
-    name="100style",
-    read=of_document(read_100style),
-    document=read_100style,
-    suffixes=(".bvh",),
-    accepts=lambda head: STYLE_AND_KIND.fullmatch(head.path.stem) is not None and find_cuts(head.path) is not None,
-    turns_up=True,
+def _has_cuts(head: FileHead) -> bool:
+    return STYLE_AND_KIND.fullmatch(head.path.stem) is not None and find_cuts(head.path) is not None
+
+
+LAFAN1_FORMAT, STYLE100_FORMAT = (
+    Format(name=name, read=of_document(read), document=read, suffixes=(".bvh",), accepts=accepts, turns_up=True)
+    for name, read, accepts in (
+        ("lafan1", read_lafan1, lambda head: LAFAN1_NAME.fullmatch(head.path.stem) is not None),
+        ("100style", read_100style, _has_cuts),
+    )
 )

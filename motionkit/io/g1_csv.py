@@ -18,7 +18,6 @@ from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float64
-from motionkit.core.timegrid import TimeGrid
 from motionkit.io import body_frame, joints_csv, source_file
 from motionkit.io.kimodo import g1
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
@@ -82,16 +81,10 @@ def read_g1_csv(path: Path, options: ReadOptions = ReadOptions(), order: str = "
     up = options.up or "z"
     log += body_frame.log_lines(up, options.up)
     fps = options.fps or usual
-    motion = Motion(
-        positions.astype(np.float32),
-        g1()[0],
-        TimeGrid(fps, len(positions)),
-        local_rotations=local.astype(np.float32),
-        root_translation=positions[:, 0].astype(np.float32),
-        sequence_id=path.stem,
-        provenance=source_file.provenance(
-            path, data, "g1-csv", [*log, *source_file.replaced_fps(fps, usual, who="the format")]
-        ),
+    log += source_file.replaced_fps(fps, usual, who="the format")
+    positions, local = positions.astype(np.float32), local.astype(np.float32)
+    motion = source_file.motion_of(
+        path, data, "g1-csv", g1()[0], fps, log, positions=positions, rotations=local, root=positions[:, 0]
     )
     return body_frame.turned(motion, up)
 

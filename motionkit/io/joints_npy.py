@@ -86,12 +86,6 @@ def read_joints_npy(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     )
 
 
-def accepts_humanact12(head: FileHead) -> bool:
-    """Whether a .npy file is a HumanAct12 clip: its name has the data set's form and its array is [T, 24, 3]."""
-    shape = head.array_shape
-    return HUMANACT12_NAME.fullmatch(head.path.stem) is not None and (shape is None or shape[1:] == (24, 3))
-
-
 def read_humanact12(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     """Read one clip as the 22 body joints in metres with its action; raises `FormatError`."""
     fps = options.fps or HUMANACT12_FPS
@@ -167,5 +161,10 @@ FORMAT = Format(
 )
 
 HUMANACT12_FORMAT = Format(
-    name="humanact12", read=of_path(read_humanact12), suffixes=(".npy",), accepts=accepts_humanact12
+    name="humanact12",
+    read=of_path(read_humanact12),
+    suffixes=(".npy",),
+    accepts=lambda head: (
+        HUMANACT12_NAME.fullmatch(head.path.stem) is not None and (head.array_shape or (0, 24, 3))[1:] == (24, 3)
+    ),
 )

@@ -73,10 +73,8 @@ def scan(sources: Sequence[Path], options: ReadOptions | None = None) -> ScanRes
     found: list[ScanResult] = []
     given: list[AnnotationTable] = []
     for source in sources:
-        if not source.exists():
-            raise UsageError(f"{source} does not exist")
         if not (source.is_file() or source.is_dir()):
-            raise UsageError(f"{source} is neither a file nor a folder")
+            raise UsageError(f"there is no file or folder {source}")
         if is_store(source):
             raise UsageError(f"{source} is a store, expected motions: 'motionkit merge' joins stores")
         given += [read_annotations(options.captions, _root(source))] if options.captions else []

@@ -85,12 +85,6 @@ def read_motion_x(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     return motion_of(rotations, values[:, TRANSLATION], values[0, BETAS], fps, options, path, source)
 
 
-def accepts_motion_x(head: FileHead) -> bool:
-    """Whether a .npy file has Motion-X's 322 numbers per frame."""
-    shape = head.array_shape
-    return shape is not None and len(shape) == 2 and shape[1] == WIDTH
-
-
 def _values(archive: npy.Archive, key: str) -> Float32[np.ndarray, "..."]:
     """An array of numbers of any shape, but not a scalar."""
     values = archive.numbers(key, None)
@@ -177,5 +171,9 @@ def motion_of(
 FORMAT = Format(name="smpl", read=of_path(read_smpl), suffixes=(".npz",), accepts=accepts, turns_up=True)
 
 MOTION_X_FORMAT = Format(
-    name="motion-x", read=of_path(read_motion_x), suffixes=(".npy",), accepts=accepts_motion_x, turns_up=True
+    name="motion-x",
+    read=of_path(read_motion_x),
+    suffixes=(".npy",),
+    accepts=lambda head: (head.array_shape or ())[1:] == (WIDTH,),
+    turns_up=True,
 )

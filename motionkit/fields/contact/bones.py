@@ -5,7 +5,7 @@ the minimum that the ankle's new direction needs; a straight leg, whose plane is
 never fully straightened: full reach is approached, not met.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -105,17 +105,17 @@ def bend(hip: Vectors, knee: Vectors, ankle: Vectors, target: Vectors, forward: 
     `forward` is the horizontal facing direction of the body.
     """
     thigh, old, aim = knee - hip, ankle - hip, target - hip
-    upper, lower = _length(thigh), _length(ankle - knee)
-    old_reach, reach = _length(old), _length(aim)
+    upper, lower = _lengths(thigh)[:, None], _lengths(ankle - knee)[:, None]
+    old_reach, reach = _lengths(old)[:, None], _lengths(aim)[:, None]
     along, new_along = old / np.maximum(old_reach, TINY), aim / np.maximum(reach, TINY)
     reach = _reachable(old_reach, reach, upper, lower)
-    side = thigh - along * _dot(thigh, along)
+    side = _across(thigh, along)
     # `forward` counts for a straight leg in proportion to the ankle's motion: not at all if it doesn't move.
-    moved = np.square(_length(target - ankle))
+    moved = np.square(_lengths(target - ankle)[:, None])
     hint = BEND_METRES * moved / (moved + BEND_METRES**2)
-    pole = side + hint * (forward - along * _dot(forward, along))
-    pole = _turned(pole, along, new_along)
-    pole /= np.maximum(_length(pole), TINY)
+    pole = side + hint * _across(forward, along)
+    pole = quaternion_rotate(quaternion_between(along, new_along), pole)
+    pole /= np.maximum(_lengths(pole)[:, None], TINY)
     share = (np.square(upper) - np.square(lower) + np.square(reach)) / (2.0 * np.maximum(reach, TINY))
     share = np.clip(share, -upper, upper)
     out = np.sqrt(np.maximum(np.square(upper) - np.square(share), 0.0))
@@ -145,23 +145,6 @@ def _reachable(
     farther = room * farther / np.sqrt(np.sqrt(1.0 + np.square(np.square(farther))))
     nearest = np.abs(upper - lower) + LEAST_ROOM_METRES
     return np.asarray(np.maximum(np.minimum(aim, old) + farther, np.minimum(nearest, old)))
-
-
-def _turned(vectors: Vectors, start: Vectors, stop: Vectors) -> Vectors:
-    """Rotates vectors by the shortest rotation from one direction to another (Rodrigues, without angles)."""
-    axis = np.cross(start, stop)
-    cosine = _dot(start, stop)
-    return np.asarray(
-        vectors * cosine + np.cross(axis, vectors) + axis * (_dot(axis, vectors) / np.maximum(1.0 + cosine, TINY))
-    )
-
-
-def _dot(a: Vectors, b: Vectors) -> Float64[np.ndarray, "frames 1"]:
-    return np.asarray(np.einsum("ni,ni->n", a, b)[:, None])
-
-
-def _length(vectors: Vectors) -> Float64[np.ndarray, "frames 1"]:
-    return np.asarray(np.sqrt(_dot(vectors, vectors)))
 
 
 # If a joint's distance from its parent varies by more, there is no bone: hips above a reference on the floor, markers.
@@ -216,18 +199,10 @@ class Bones:
         """A joint's children with a bone."""
         return [child for child in self.skeleton.children(joint) if child not in self.moving]
 
-    def _path_to(self, joint: int) -> Iterator[int]:
-        """A joint and those above it."""
-        while joint >= 0:
-            yield joint
-            joint = self.skeleton.parents[joint]
-
     def branch(self, joint: int) -> int | None:
         """The nearest ancestor with several bones; None if there is none."""
-        while (joint := self.skeleton.parents[joint]) >= 0:
-            if len(self.children(joint)) > 1:
-                return joint
-        return None
+        above = (each for each in self.skeleton.path_to_root(joint) if each != joint)
+        return next((each for each in above if len(self.children(each)) > 1), None)
 
     def limbs(self) -> list[tuple[int, int, int]]:
         """Start, middle and end of every pair of consecutive bones of similar length."""
@@ -266,7 +241,7 @@ class Bones:
         """
         needed = set(range(self.skeleton.num_joints))
         if joints is not None:
-            needed = {above for joint in joints for above in self._path_to(joint)}
+            needed = {above for joint in joints for above in self.skeleton.path_to_root(joint)}
         targets = np.ascontiguousarray(positions.transpose(1, 0, 2), dtype=np.float64)
         reached, turns, limbs = targets.copy(), {}, {start: (joint, end) for start, joint, end in self.limbs()}
         for joint in range(self.skeleton.num_joints):

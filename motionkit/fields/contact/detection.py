@@ -76,12 +76,6 @@ class Contacts:
     lead: PerFoot
     beside: PerFoot
 
-    @classmethod
-    def none(cls, count: int) -> "Contacts":
-        """Feet in the air at all of `count` samples."""
-        nothing = np.zeros((count, 2))
-        return cls(np.zeros((count, 2, 2), bool), nothing, np.zeros((count, 2, 3)), nothing, nothing, nothing)
-
 
 @dataclass(frozen=True, eq=False)
 class Ground:

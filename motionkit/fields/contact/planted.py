@@ -9,6 +9,7 @@ foot swings.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -32,7 +33,7 @@ from motionkit.fields.contact.detection import (
     runs,
     smoothstep,
 )
-from motionkit.fields.interpolation import INTERPOLATORS
+from motionkit.fields.interpolation import INTERPOLATORS, Curve, curve
 from motionkit.fields.motion_field import (
     DerivedField,
     MotionField,
@@ -92,23 +93,14 @@ class Correction:
     contacts: Contacts
     offsets: Float64[np.ndarray, "instants 3 3"]
 
+    @cached_property
+    def _curve(self) -> Curve:
+        times = self.start_seconds + np.arange(len(self.offsets)) / self.fps
+        return curve("catmull-rom", times, self.offsets)
+
     def at(self, times_seconds: Times) -> Float64[np.ndarray, "times 3 3"]:
         """The offsets at any times, by C1 cubic interpolation; constant before the first sample and after the last."""
-        values = self.offsets
-        if len(values) == 1:
-            return np.repeat(values, len(times_seconds), axis=0)
-        place = np.clip((times_seconds - self.start_seconds) * self.fps, 0.0, len(values) - 1.0)
-        row = np.minimum(place.astype(np.int64), len(values) - 2)
-        u = (place - row)[:, None, None]
-        before, after = np.maximum(row - 1, 0), np.minimum(row + 2, len(values) - 1)
-        start, stop = values[row], values[row + 1]
-        # Central differences; one-sided at the ends of the motion.
-        rise, later = (stop - values[before]) / (row + 1 - before)[:, None, None], values[after] - start
-        later /= (after - row)[:, None, None]
-        step = stop - start
-        return np.asarray(
-            start + u * (rise + u * ((3.0 * step - 2.0 * rise - later) + u * (rise + later - 2.0 * step)))
-        )
+        return self._curve.clamped(times_seconds)
 
 
 def offsets_of(
@@ -336,10 +328,10 @@ def _planting(field: MotionField, poses: Poses, fps: float, path: Path, predicte
         if bones is not None:
             positions = bones.applied(positions, legs.feet)
     paths = legs.foot_paths(positions).astype(np.float64)
-    ground, contacts = ground_of(paths, fps), Contacts.none(len(paths))
+    ground = ground_of(paths, fps)
+    contacts = find_contacts(paths, fps, ground, predicted, CAPTURED if path == "near" else GENERATED)
     offsets = np.zeros((len(paths), KINDS, 3))
     if len(paths) >= FEWEST_INSTANTS:
-        contacts = find_contacts(paths, fps, ground, predicted, CAPTURED if path == "near" else GENERATED)
         offsets = offsets_of(paths, contacts, ground, fps, path)
     return Planting(field, legs, bones, Correction(field.start_seconds, fps, ground, contacts, offsets))
 
