@@ -331,6 +331,9 @@ class _Ingest:
         except RefusedMotion as refused:
             self._fail(FormatError(str(refused), path=item.path, reason=refused.reason), item)
             return
+        if self.options.index is None and row["source_sha256"] in self.writer.former_sources:
+            message = f"now stored twice: an equal file had another id before this ingest, not {item.sequence_id!r}"
+            self._warn(FormatError(message, path=item.path, reason="stored-twice"))
         if skeleton not in self.bodies and (size := body_size_warning(skeleton)):
             self._warn(FormatError(size, path=item.path, reason="body-size"))
         self.bodies.add(skeleton)

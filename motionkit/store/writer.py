@@ -164,6 +164,7 @@ class StoreWriter:
                 except (FileNotFoundError, ValueError) as error:
                     raise damaged(self.path, error) from None
                 self._source_of = dict(zip(*(column.to_pylist() for column in columns), strict=True))
+            self.former_sources = frozenset(self._source_of.values()) - {""}
             self._bodies = {same_body(each): fingerprint for fingerprint, each in self._skeletons.items()}
             self._held = held.pop_all()
         return self

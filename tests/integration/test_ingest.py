@@ -30,6 +30,8 @@ def test_the_first_ingest_makes_a_store_and_the_next_adds_to_it(motionkit, takes
     assert second.stdout.startswith("stored 1 sequence (0.2 s, 7 frames) in ")
     assert "already there: 3" in second.stdout
     assert ids(store)[3:] == ["takes/delta"]
+    renamed = motionkit("ingest", takes.rename(tmp_path / "again"), "--store", store, "--workers", 1)
+    assert renamed.code == 0 and "beta.bvh: now stored twice" in renamed.stderr
     assert motionkit("validate", "--store", store).code == 0
 
 
