@@ -80,7 +80,7 @@ def _show_file(path: Path, up: str | None, init: Path | None, as_json: bool, *, 
     from motionkit.store.reports import describe_motion
 
     if init is not None:
-        require_new(init, overwrite=overwrite, instead="name another file")
+        require_new(init, overwrite=overwrite, instead="another file keeps both")
     has_framerate = True
     try:
         motion = next(read_all(path, up=up))

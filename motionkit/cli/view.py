@@ -160,7 +160,7 @@ def _write_cards(
     path = named_store(Path(names[0]) if names else None, store) or default_path("store")
     opened = Store.open(path)
     indices = opened.select_some(where)
-    require_new(page, overwrite=overwrite, instead="name another file")
+    require_new(page, overwrite=overwrite, instead="another file keeps both")
     with progress() as show:
         failures = write_corpus_page(page, opened, indices, show)
     print_failures(failures)

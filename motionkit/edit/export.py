@@ -353,7 +353,7 @@ def export(
     # A link to an empty folder is filled where it points.
     with whole_folder(folder.resolve() if folder.is_symlink() else folder.absolute()) as partial_folder:
         # Under the lock, after leftovers of a killed export are deleted.
-        require_new(folder, overwrite=overwrite, replaced=is_export, instead="name a new folder")
+        require_new(folder, overwrite=overwrite, replaced=is_export, instead="another folder keeps both")
         for outcome in kind.write(selection, partial_folder):
             if outcome.reason:
                 left_out.append(outcome)

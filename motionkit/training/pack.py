@@ -29,7 +29,7 @@ def pack_run(run: RunFolder, out: Path, stages: Iterable[str], *, overwrite: boo
     packed: dict[str, str] = {}  # by the sha256 of each model, the packed one's: later stages name what they build on
     for name in stages:
         stage, own = run.stage(name), RunFolder(out).stage(name)
-        require_new(own.path, overwrite=overwrite, replaced=Path.is_dir, instead="name another folder")
+        require_new(own.path, overwrite=overwrite, replaced=Path.is_dir, instead="another folder keeps both")
         stage.check()
         tensors, description = load_tensors(stage.model_path)
         kept = {each: _half(tensor) for each, tensor in plugins.load("STAGES", name).packed(tensors).items()}
