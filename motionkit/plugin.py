@@ -15,6 +15,7 @@ COMMANDS = {
     "push": "motionkit.cli.hub:push",
     "query": "motionkit.cli.query:query",
     "remove": "motionkit.cli.store:remove",
+    "serve": "motionkit.cli.serve:serve",
     "split": "motionkit.cli.store:split",
     "train": "motionkit.cli.train:train",
     "validate": "motionkit.cli.store:validate",

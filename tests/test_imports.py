@@ -17,7 +17,10 @@ from tests.helpers.repository import REPOSITORY
 
 OWN = {"motionkit", "nerm", "pahires", "peers", "eval", "benchmarks", "tests"}
 # Imported where the user has them, with a message that names the extra or the package; jaxtyping where it is loaded.
-OPTIONAL = {*("huggingface_hub", "imageio_ffmpeg", "jaxtyping", "ray", "rerun", "tokenizers", "transformers")}
+OPTIONAL = {
+    *("huggingface_hub", "imageio_ffmpeg", "jaxtyping", "motionmcp", "ray", "rerun", "tokenizers", "transformers")
+}
+OPTIONAL |= {"uvicorn"}
 
 
 def imported(folder: str) -> set[str]:

@@ -22,7 +22,7 @@ PANELS = {
     "Without training": "view complete convert generate plant ingest info",
     "The whole job": "demo",
     "On your own captures": "split train eval report",
-    "How to": "samples study ablate export pack push pull",
+    "How to": "samples study ablate export pack push pull serve",
     "A store's life": "query validate merge remove compact",
 }
 

@@ -28,8 +28,8 @@ RUN = (
     *("study", "ablate", "push", "remove", "compact"),
 )
 # These train first: test_howtos runs such commands out of README, test_front_door the demo. What is
-# pulled has to be pushed: test_hub. test_convert converts.
-ELSEWHERE = ("train", "generate", "eval", "report", "demo", "pull", "convert")
+# pulled has to be pushed: test_hub. test_convert converts, test_generate packs, test_mmcp serves.
+ELSEWHERE = ("train", "generate", "eval", "report", "demo", "pull", "convert", "pack", "serve")
 COMMANDS = typer.main.get_command(build_app()).commands  # type: ignore[attr-defined]
 
 
