@@ -217,7 +217,9 @@ class NermEncoder:
 
         def fields(rows: Int64[np.ndarray, "chosen"]) -> list[MotionField]:
             chosen = windows.select(rows)
-            return self._fields(chosen, encode_windows(trained, chosen, frames))
+            poses = WindowPoses(chosen, frames)
+            batches = (poses.evenly(some, POSES_TO_ENCODE_FROM) for some in chunks(len(chosen), WINDOWS_AT_ONCE))
+            return self._fields(chosen, torch.cat([encode_by_optimisation(trained, batch) for batch in batches]))
 
         return ModelWindows(source, windows, fields, "encoded by optimisation")
 
@@ -273,16 +275,6 @@ class NermEncoder:
             Piece(self.trained.as_motion_field(latent, length), start, turn, (x, z))
             for latent, start, turn, (x, z) in placed
         ]
-
-
-def encode_windows(trained: TrainedField, windows: Windows, frames: FrameValues) -> Float32[Tensor, "windows latent"]:
-    """The latents of windows that were not in training, by optimisation on 100 native poses of each.
-
-    `frames` come from opening the field's pose vectors.
-    """
-    poses = WindowPoses(windows, frames)
-    batches = (poses.evenly(rows, POSES_TO_ENCODE_FROM) for rows in chunks(len(windows), WINDOWS_AT_ONCE))
-    return torch.cat([encode_by_optimisation(trained, batch) for batch in batches])
 
 
 def vary(windows: Windows, source: PositionCache, rng: np.random.Generator) -> tuple[Windows, Windows]:

@@ -116,26 +116,16 @@ class CodebookCoordinateAttention(nn.Module):
         self.to_codebook = AttentionBlock(width, heads)
         self.refine = nn.ModuleList(AttentionBlock(width, heads) for _ in range(config.num_layers))
         self.to_prototypes = AttentionBlock(width, heads)
-        self._kept: tuple[list[tuple[int, int]], Tensor] | None = None
-
-    def prototypes(self) -> Float[Tensor, "queries width"]:
-        """The queries after attention to the codebook, then to each other; in inference kept while weights stay."""
-        if torch.is_grad_enabled() or torch.is_autocast_enabled(self.codebook.device.type):
-            return self._prototypes()
-        weights = [(each.data_ptr(), each._version) for each in self.state_dict(keep_vars=True).values()]
-        if self._kept is None or self._kept[0] != weights:
-            self._kept = weights, self._prototypes()
-        return self._kept[1]
-
-    def _prototypes(self) -> Float[Tensor, "queries width"]:
-        tokens: Tensor = self.to_codebook(self.query_embeddings, self.project_codes(self.codebook))
-        for block in self.refine:
-            tokens = block(tokens, tokens)
-        return tokens
 
     def forward(self, features: Float[Tensor, "coordinates width"]) -> Float[Tensor, "coordinates width"]:
-        """Codebook-enhanced features of (distinct) coordinates."""
-        enhanced: Tensor = self.to_prototypes(features, self.prototypes())
+        """Codebook-enhanced features of (distinct) coordinates.
+
+        They attend to the prototypes: the queries after attention to the codebook, then to each other.
+        """
+        prototypes = self.to_codebook(self.query_embeddings, self.project_codes(self.codebook))
+        for block in self.refine:
+            prototypes = block(prototypes, prototypes)
+        enhanced: Tensor = self.to_prototypes(features, prototypes)
         return enhanced
 
 
@@ -172,15 +162,6 @@ class ResidualLayer(nn.Module):
         """One layer."""
         updated: Tensor = hidden + self.linear(self.activation(self.norm(hidden)))
         return updated
-
-
-def context_mask(num_context: int, num_poses: int, device: torch.device) -> Bool[Tensor, "poses poses"]:
-    """Attention mask: the first poses are a context that attends to itself; any other pose attends to it and to itself.
-
-    So a pose does not depend on which others are decoded with it.
-    """
-    poses = torch.arange(num_poses, device=device)
-    return (poses >= num_context) & (poses[:, None] != poses)
 
 
 class FieldNetwork(nn.Module):
@@ -290,7 +271,9 @@ class FieldNetwork(nn.Module):
             hidden = hidden + self.from_coordinate(encoded.features)[encoded.which]
         options = {}
         if num_context and self.config.decoder.kind == "transformer":
-            options["src_mask"] = context_mask(num_context, hidden.shape[1], hidden.device)
+            # Poses attend to the context and to themselves, so that none depends on which others are decoded with it.
+            pose = torch.arange(hidden.shape[1], device=hidden.device)
+            options["src_mask"] = (pose >= num_context) & (pose[:, None] != pose)
         at_once = hidden.shape[1] if self.config.decoder.kind == "transformer" else POSES_IN_CACHE
         vectors = torch.cat([self._through_layers(poses, **options) for poses in hidden.split(at_once, dim=1)], dim=1)
         if self.linear is None or path is None:

@@ -1,6 +1,6 @@
 """Sets of motions at one framerate that a table compares, the identity of its rows, and what it lacks."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -232,56 +232,23 @@ class Missing:
 
 
 CHOICES = 10
-SAME, SAME_METRES = 1e-6, 1e-5
-"""Fraction of the real features' spread: embeddings of one motion differ by far less, those of two by far more."""
-
 Features = Float[np.ndarray, "_samples features"]
 
 
-def size_remarks(real: Features, reference: Features, other: Features, seed: int) -> list[str]:
-    """Remarks on motions that are real ones, and on the FID of sets smaller than the reference.
+def size_remark(reference: Features, other: Features, seed: int) -> str:
+    """A remark on the FID of sets smaller than the reference, which are the real motions that FID compares with.
 
-    `reference` are those of the real motions that FID compares with. The second remark has the FID of equally many
-    random motions of the reference against all of it: its mean, and the range of ten draws.
+    It has the FID of equally many random motions of the reference against all of it: its mean, and the range of ten
+    draws. Empty for a set that is no smaller.
     """
-    remarks = []
-    if copies := num_copies(real, other, SAME * float(real.std())):
-        remarks.append(
-            f"{copies:,} of {len(other):,} motions are real motions of this set, which says nothing of a model"
-        )
-    if len(other) < len(reference):
-        rng = np.random.default_rng((seed, 9))
-        with threadpool_limits(1, "blas"):
-            whole = fit_gaussian(reference)
-            chosen = [rng.choice(len(reference), size=len(other), replace=False) for _ in range(CHOICES)]
-            fids = [frechet_distance(whole, fit_gaussian(reference[rows])) for rows in chosen]
-        remarks.append(
-            f"as many random real motions ({len(other):,}) have an FID of {np.mean(fids):.3g} from all "
-            f"({min(fids):.3g} to {max(fids):.3g} in {CHOICES} choices)"
-        )
-    return remarks
-
-
-def num_copies(real: Features, other: Features, tolerance: float) -> int:
-    """Number of rows that equal a row of the real features."""
-    order = np.argsort(real[:, 0], kind="stable")
-    first = real[order, 0]
-    low, high = (np.searchsorted(first, other[:, 0] + sign * tolerance) for sign in (-1, 1))
-    return sum(
-        bool((np.abs(real[order[start:stop]] - row) <= tolerance).all(axis=1).any())
-        for row, start, stop in zip(other, low.tolist(), high.tolist(), strict=True)
-    )
-
-
-def copied_sequences(real: SampleSet, rows: Mapping[str, SampleSet]) -> dict[str, int]:
-    """How many sequences of each row are of the real set; rows without one are left out."""
-    known = _ends(real)
-    counts = {name: num_copies(known, _ends(samples), SAME_METRES) for name, samples in rows.items()}
-    return {name: count for name, count in counts.items() if count}
-
-
-def _ends(samples: SampleSet) -> Features:
-    """The first, middle and last pose of every sequence, and its length: what two sequences share only if equal."""
-    return np.stack(
-        [np.append(sequence[[0, len(sequence) // 2, -1]].ravel(), len(sequence)) for sequence in samples.sequences]
+    if len(other) >= len(reference):
+        return ""
+    rng = np.random.default_rng((seed, 9))
+    with threadpool_limits(1, "blas"):
+        whole = fit_gaussian(reference)
+        chosen = [rng.choice(len(reference), size=len(other), replace=False) for _ in range(CHOICES)]
+        fids = [frechet_distance(whole, fit_gaussian(reference[rows])) for rows in chosen]
+    return (
+        f"as many random real motions ({len(other):,}) have an FID of {np.mean(fids):.3g} from all "
+        f"({min(fids):.3g} to {max(fids):.3g} in {CHOICES} choices)"
     )

@@ -31,7 +31,7 @@ from motionkit.core.progress import task, tracked
 from motionkit.edit.encoders import installed_encoders
 from motionkit.store.reader import Store
 from motionkit.training.ablations import Ablation, Variant, find_ablations
-from motionkit.training.run import RunFolder, Task, recorded_settings
+from motionkit.training.run import RunFolder, Task
 
 METRICS = {
     "psnr": "PSNR (dB)",
@@ -163,7 +163,7 @@ def ablation_table(ablation: Ablation, config: EvalConfig, store: Store) -> Cont
     lacking = [variant.name for variant, by_seed in runs.items() if not by_seed]
     config.missing.add(*(f"{name}: not trained ({command} --only {name})" for name in lacking))
     folders = [run for by_seed in runs.values() for run in by_seed.values()]
-    training = [recorded_settings(run, STAGE)["training"] for run in folders]
+    training = [run.stage(STAGE).read_config()["config"]["training"] for run in folders]
     rates = {Fraction(each["fps"]) for each in training}
     completers = [replace(completer_of(PAHIRES.paper, run.path), name=run.path.name) for run in folders]
     data_sets = [each for each in data_sets_of(store) if each.fps in rates]

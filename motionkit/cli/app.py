@@ -49,16 +49,12 @@ def build_app(only: str = "") -> "typer.Typer":
     @app.callback()
     def print_version(
         version: Annotated[bool, typer.Option("--version", help="Print motionkit's version.")] = False,
-        verbose: Annotated[
-            bool, typer.Option("--verbose", help="With --version: packages, device, threads and extras too.")
-        ] = False,
     ) -> None:
         # Options of `motionkit` itself.
-        if version or verbose:
-            from motionkit.cli.versions import version_lines
+        if version:
+            from motionkit.core import __version__
 
-            for line in version_lines(verbose):
-                print(line)
+            print(f"motionkit {__version__}")
             raise typer.Exit
 
     try:

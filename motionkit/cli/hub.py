@@ -16,15 +16,6 @@ if TYPE_CHECKING:
     from motionkit.training.run import StageFolder
 
 README = "README.md"
-PACKED_TEXT = (
-    "A run of motionkit for generation alone: the stages {}, of half precision, without what training needs. What it "
-    "may be used for depends on the licences of the motions that it was trained from; this card does not know them."
-)
-RUN_TEXT = (
-    "A run of motionkit with the stages {}; weights are safetensors, config.json has each stage's settings and "
-    "summary.json its figures. What it may be used for depends on the licences of the motions that it was trained "
-    "from; this card does not know them."
-)
 
 
 def pack(
@@ -42,8 +33,8 @@ def pack(
 
     Example: motionkit pack nano walker
     """
+    from motionkit.edit.export import render
     from motionkit.generate.models import model_loader, model_of
-    from motionkit.store.reports import CARD
     from motionkit.training import detail
     from motionkit.training.pack import pack_run
     from motionkit.training.run import RunFolder, find_run
@@ -53,8 +44,8 @@ def pack(
     stages += [detail.NAME] if RunFolder(place).stage(detail.NAME).is_complete else []
     files = pack_run(RunFolder(place), out, stages, overwrite=overwrite)
     if not (card := out / README).exists():
-        text, code = PACKED_TEXT.format(", ".join(stages)), f'motionkit generate "a person walks" --run {out}'
-        write_whole(card, CARD.format(head="", text=text, code=code))
+        code = f'motionkit generate "a person walks" --run {out}'
+        write_whole(card, render("run_card.md.j2", stages=stages, packed=True, code=code))
     size = sum(path.stat().st_size for path in files)
     if as_json:
         print_json({"folder": str(out), "stages": stages, "bytes": size})
@@ -81,9 +72,10 @@ def push(
 
     Example: motionkit push hf://datasets/me/walks --dry-run
     """
+    from motionkit.edit.export import render
     from motionkit.store import hub
     from motionkit.store.reader import Store
-    from motionkit.store.reports import CARD, store_card, summarise
+    from motionkit.store.reports import summarise
 
     repository = hub.parse_address(address)
     if repository.path_in_repo:
@@ -96,7 +88,8 @@ def push(
         folder, patterns = store or default_path("store"), hub.STORE_FILES
         _require_intact(folder, f"'motionkit validate --store {folder}' says more")
         summary = summarise(Store.open(folder))
-        card, licences = store_card(summary, repository.to_uri()), list(summary.licences)
+        card = render("store_card.md.j2", summary=summary, address=repository.to_uri())
+        licences = summary["licences"]
     else:
         if store is not None or run is None:
             raise UsageError(f"{address} is for a run: name one with --run; a store goes to hf://datasets/OWNER/NAME")
@@ -105,8 +98,8 @@ def push(
         if not stages:
             raise UsageError(f"{folder} has no complete stage: motionkit train --run {run}")
         patterns = tuple(f"{stage.path.name}/{path.name}" for stage in stages for path in stage.result_paths)
-        text = RUN_TEXT.format(", ".join(stage.path.name for stage in stages))
-        card = CARD.format(head="", text=text, code=f"motionkit pull {repository.to_uri()}")
+        names = [stage.path.name for stage in stages]
+        card = render("run_card.md.j2", stages=names, packed=False, code=f"motionkit pull {repository.to_uri()}")
         if (folder / README).is_file():  # of a packed run
             card = (folder / README).read_text(encoding="utf-8")
     url = "" if dry_run else hub.push(repository, folder, patterns, card, public=public)

@@ -1,9 +1,8 @@
 """`motionkit info`: a summary of a store or a file, a store's quality, a draft of a map for a file's rig."""
 
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -11,11 +10,7 @@ from motionkit.cli.console import Overwrite, Up, named_store, print_json, stderr
 from motionkit.core.errors import UsageError, counted, lasting
 from motionkit.core.files import default_path, is_store
 
-if TYPE_CHECKING:
-    from motionkit.store.reports import SourceSummary, StoreSummary
-
 MEGABYTE = 1e6
-SHOWN_UPSAMPLED = 20
 SHOWN_COUNTS = 8
 
 
@@ -63,7 +58,7 @@ def info(
         print_json(report) if as_json else _print_lines(_quality_lines(report))
     else:
         summary = summarise(opened)
-        print_json(asdict(summary)) if as_json else _print_lines(_summary_lines(summary))
+        print_json(summary) if as_json else _print_lines(_summary_lines(summary))
 
 
 def _print_lines(lines: Iterable[str]) -> None:
@@ -132,51 +127,46 @@ def _quality_lines(report: dict[str, Any]) -> Iterator[str]:
         for each in worst["offenders"]:
             place = "" if each["seconds"] is None else f", at {each['seconds']:.3f} s (frame {each['frame']})"
             yield f"  {each['value']:10.4g} {worst['unit']}  {each['sequence_id']}{place}"
-    if report["upsampled"]:
-        yield ""
-        yield "upsampled: captured at a lower framerate than stated"
-        for each in report["upsampled"][:SHOWN_UPSAMPLED]:
-            stated = f" (stated as {each['stated_fps']})" if each["stated_fps"] else ""
-            yield f"  {each['fps']:g}{stated} → {each['effective_fps']:g} fps  {each['sequence_id']}"
-        if len(report["upsampled"]) > SHOWN_UPSAMPLED:
-            yield f"  and {len(report['upsampled']) - SHOWN_UPSAMPLED:,} more: --json, or motionkit query"
 
 
-def _summary_lines(summary: "StoreSummary") -> Iterator[str]:
+def _summary_lines(summary: dict[str, Any]) -> Iterator[str]:
     yield (
-        f"{summary.path}: {counted(summary.num_sequences, 'sequence')}, {lasting(3600 * summary.hours)}, "
-        f"{counted(summary.num_frames, 'frame')}, {counted(summary.num_skeletons, 'skeleton')}"
+        f"{summary['path']}: {counted(summary['num_sequences'], 'sequence')}, {lasting(3600 * summary['hours'])}, "
+        f"{counted(summary['num_frames'], 'frame')}, {counted(summary['num_skeletons'], 'skeleton')}"
     )
-    for source in summary.sources:
+    for source in summary["sources"]:
         yield ""
         yield from _source_lines(source)
     yield ""
-    disk, caches = summary.disk_bytes / MEGABYTE, summary.cache_bytes / MEGABYTE
-    yield f"on disk {disk:,.1f} MB in {counted(summary.num_parts, 'part')}; caches {caches:,.1f} MB"
-    if summary.num_removed:
+    disk, caches = summary["disk_bytes"] / MEGABYTE, summary["cache_bytes"] / MEGABYTE
+    yield f"on disk {disk:,.1f} MB in {counted(summary['num_parts'], 'part')}; caches {caches:,.1f} MB"
+    if summary["num_removed"]:
         yield (
-            f"of it the frames of {counted(summary.num_removed, 'removed sequence')}: 'motionkit compact --store "
-            f"{summary.path}' drops them"
+            f"of it the frames of {counted(summary['num_removed'], 'removed sequence')}: 'motionkit compact --store "
+            f"{summary['path']}' drops them"
         )
-    yield f"fingerprint {summary.fingerprint}"
+    yield f"fingerprint {summary['fingerprint']}"
 
 
-def _source_lines(source: "SourceSummary") -> Iterator[str]:
+def _source_lines(source: dict[str, Any]) -> Iterator[str]:
     captions = (
-        f"{source.num_captions:,} on {counted(source.num_captioned, 'sequence')}" if source.num_captions else "none"
+        f"{source['num_captions']:,} on {counted(source['num_captioned'], 'sequence')}"
+        if source["num_captions"]
+        else "none"
     )
-    yield f"source      {source.source or '(unnamed)'}"
-    yield f"sequences   {source.num_sequences:,}, {lasting(3600 * source.hours)}, {counted(source.num_frames, 'frame')}"
-    yield f"fps         {_counts(source.framerates)}"
-    yield f"durations   {_counts(source.durations)}"
-    yield f"splits      {_counts(source.splits)}"
+    yield f"source      {source['source'] or '(unnamed)'}"
+    size = f"{lasting(3600 * source['hours'])}, {counted(source['num_frames'], 'frame')}"
+    yield f"sequences   {source['num_sequences']:,}, {size}"
+    yield f"fps         {_counts(source['framerates'])}"
+    yield f"durations   {_counts(source['durations'])}"
+    yield f"splits      {_counts(source['splits'])}"
     yield f"captions    {captions}"
-    yield f"actions     {source.num_actions:,}"
-    yield f"skeletons   {source.num_skeletons:,} with {', '.join(source.joints)} joints"
-    yield f"formats     {_counts(source.formats)}"
-    yield f"licences    {_counts(source.licences)}"
-    if source.quality_flags:
-        yield f"flags       {_counts(source.quality_flags)}"
+    yield f"actions     {source['num_actions']:,}"
+    yield f"skeletons   {source['num_skeletons']:,} with {', '.join(source['joints'])} joints"
+    yield f"formats     {_counts(source['formats'])}"
+    yield f"licences    {_counts(source['licences'])}"
+    if source["quality_flags"]:
+        yield f"flags       {_counts(source['quality_flags'])}"
 
 
 def _counts(counts: dict[str, int]) -> str:

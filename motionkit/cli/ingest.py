@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -33,8 +32,8 @@ SHOWN_KINDS, MAX_PRINTED_OF_A_REASON = 5, 5
 
 def ingest(
     sources: Annotated[
-        list[str],
-        typer.Argument(help="Files and folders of motions; of the Hub: hf://datasets/OWNER/NAME.", show_default=False),
+        list[Path],
+        typer.Argument(help="Files and folders of motions.", show_default=False),
     ],
     store: Annotated[Path | None, typer.Option(help="Store to create or to add to.", show_default="./store")] = None,
     format: Annotated[str, typer.Option(help="auto detects it by name and content; or one format's name.")] = "auto",
@@ -129,17 +128,9 @@ def ingest(
         elif num_printed[fault.reason] == MAX_PRINTED_OF_A_REASON + 1:
             stderr.print(f"{prefix}more of the kind {fault.reason}: counted at the end, --json names them all")
 
-    with progress() as show, ExitStack() as stack:
-        paths: list[Path] = []
-        for source in sources:
-            if source.startswith("hf://"):
-                from motionkit.store.hub import as_folder, parse_address
-
-                paths.append(stack.enter_context(as_folder(parse_address(source))))
-            else:
-                paths.append(Path(source))
+    with progress() as show:
         report = ingest_sources(
-            *(paths, store or default_path("store")),
+            *(sources, store or default_path("store")),
             options=options,
             on_error=on_error,
             overwrite=overwrite,

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from motionkit.core.errors import MotionkitError, UsageError, counted, markdown_text
+from motionkit.core.errors import MotionkitError, UsageError, counted, lasting, markdown_text
 from motionkit.core.files import is_store, naming, require_new, whole_folder, write_json
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.shapes import Int64
@@ -34,7 +34,7 @@ from motionkit.io.registry import Format, writers
 from motionkit.io.texts import SPLITS
 from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import LOCK_FILE
-from motionkit.store.reports import store_card, summarise
+from motionkit.store.reports import summarise
 
 TABLE = "motions.csv"
 # As motionkit.io.annotations reads them; sequence_id, the id in the store, is informative.
@@ -191,7 +191,7 @@ def render(template: str, **values: Any) -> str:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["markdown"] = markdown_text
+    environment.filters |= {"markdown": markdown_text, "counted": counted, "lasting": lasting}
     return environment.get_template(template).render(values)
 
 
@@ -309,7 +309,8 @@ def export_parquet(selection: Selection, folder: Path) -> Iterator[Outcome]:
             writer.add(motion)
             yield Outcome(motion.sequence_id)
     (folder / LOCK_FILE).unlink()
-    (folder / "README.md").write_text(store_card(summarise(Store.open(folder)), "OUT"), encoding="utf-8")
+    card = render("store_card.md.j2", summary=summarise(Store.open(folder)), address="OUT")
+    (folder / "README.md").write_text(card, encoding="utf-8")
 
 
 @dataclass(frozen=True)

@@ -5,28 +5,23 @@ address and progress bars are those of `huggingface_hub` (`hf auth login`, HF_HO
 repository is run.
 """
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from glob import escape
 from pathlib import Path, PurePosixPath
-from shutil import copytree
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from motionkit.core import __version__
 from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
 from motionkit.core.files import MANIFEST_FILE, MOTIONS_FOLDER, SEQUENCES_FILE
-from motionkit.core.progress import warn
 
 if TYPE_CHECKING:
     from huggingface_hub import HfUri
 
 # Patterns of a store's files.
 STORE_FILES = (MANIFEST_FILE, SEQUENCES_FILE, "skeletons.parquet", f"{MOTIONS_FOLDER}/part-*.parquet")
-LONGEST_NAME_BYTES = 255
 
 
 class HubError(MotionkitError):
@@ -52,11 +47,8 @@ def parse_address(address: str) -> "HfUri":
     return repository
 
 
-def fetch(repository: "HfUri", patterns: Sequence[str], ignored: Sequence[str] = ()) -> Path:
-    """Download the files of the repository's folder that match `patterns`; returns the folder in the Hub's cache.
-
-    `ignored` are patterns of files that are left out. Raises `HubError`.
-    """
+def fetch(repository: "HfUri", patterns: Sequence[str]) -> Path:
+    """Download the files of a repository that match `patterns`; returns its folder in the cache; raises `HubError`."""
     from huggingface_hub import snapshot_download
 
     inside = f"{escape(repository.path_in_repo)}/" if repository.path_in_repo else ""
@@ -66,7 +58,6 @@ def fetch(repository: "HfUri", patterns: Sequence[str], ignored: Sequence[str] =
             repo_type=repository.type,
             revision=repository.revision,
             allow_patterns=[inside + each for each in patterns],
-            ignore_patterns=list(ignored),
         )
     return Path(snapshot, repository.path_in_repo)
 
@@ -80,8 +71,8 @@ def fetch_store(repository: "HfUri", patterns: Sequence[str] = STORE_FILES) -> P
     if not (folder / MANIFEST_FILE).is_file():
         address = repository.to_uri()
         raise HubError(
-            f"{address} holds no store (no {MANIFEST_FILE}); captures and exported Parquet come in with "
-            f"'motionkit ingest {address}'"
+            f"{address} holds no store (no {MANIFEST_FILE}); 'hf download' fetches captures and exported Parquet, "
+            "'motionkit ingest FOLDER' reads them"
         )
     return folder
 
@@ -99,35 +90,6 @@ def _fetch_part(repository: "HfUri", name: str) -> None:
     path = str(PurePosixPath(repository.path_in_repo, name))
     with _reporting(repository):
         hf_hub_download(repository.id, path, repo_type=repository.type, revision=repository.revision)
-
-
-@contextmanager
-def as_folder(repository: "HfUri") -> Iterator[Path]:
-    """A temporary folder of all files of a repository, with the name of the repository or of the folder in it.
-
-    A file whose name this machine cannot store is left out with a warning.
-    """
-    from huggingface_hub import HfApi
-
-    with _reporting(repository):
-        names = HfApi().list_repo_files(repository.id, repo_type=repository.type, revision=repository.revision)
-    hostile = [name for name in names if not _can_be_stored(name)]
-    for name in hostile:
-        warn(f"{repository.to_uri()}: {name!a} is left out: it cannot be the name of a file")
-    source = fetch(repository, ["*"], [".*", "*/.*", *map(escape, hostile)])
-    with TemporaryDirectory(prefix="motionkit-") as place:
-        folder = Path(place, PurePosixPath(repository.path_in_repo or repository.id).name)
-        copytree(source, folder, copy_function=os.symlink)
-        yield folder
-
-
-def _can_be_stored(name: str) -> bool:
-    parts = name.split("/")
-    try:
-        is_short = all(0 < len(part.encode()) <= LONGEST_NAME_BYTES for part in parts)
-    except UnicodeEncodeError:  # half a character
-        return False
-    return is_short and "\0" not in name and os.pardir not in parts
 
 
 def push(repository: "HfUri", folder: Path, patterns: Sequence[str], card: str, *, public: bool) -> str:

@@ -43,10 +43,8 @@ from motionkit.store.schema import (
 )
 
 if TYPE_CHECKING:
-    import pandas as pd
-if TYPE_CHECKING:
     import duckdb
-    import pyarrow as pa
+    import pandas as pd
 
 
 # Arrow tables and datasets.
@@ -55,7 +53,7 @@ Views = Mapping[str, Any]
 INTERRUPT_SECONDS = 0.05
 
 
-def query(views: Views, sql: str) -> "pa.Table":
+def query(views: Views, sql: str) -> pa.Table:
     """Result of one SQL statement over the views as an Arrow table; a name that comes again gets _1, _2 …
 
     The statement can neither read nor write files, and what it creates is gone when it ends. Raises `UsageError` for
@@ -85,7 +83,7 @@ def _database(process: int) -> "duckdb.DuckDBPyConnection":
     return database
 
 
-def _query(connection: "duckdb.DuckDBPyConnection", views: Views, sql: str) -> "pa.Table":
+def _query(connection: "duckdb.DuckDBPyConnection", views: Views, sql: str) -> pa.Table:
     import duckdb
 
     connection.begin()
@@ -105,7 +103,7 @@ def _query(connection: "duckdb.DuckDBPyConnection", views: Views, sql: str) -> "
         connection.rollback()
 
 
-def _with_unique_names(table: "pa.Table") -> "pa.Table":
+def _with_unique_names(table: pa.Table) -> pa.Table:
     # SELECT * over a join repeats names, and whoever reads columns by name would see one of them twice.
     counts: Counter[str] = Counter()
     names = []

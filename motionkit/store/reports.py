@@ -1,9 +1,7 @@
-"""What `motionkit info` says of a store, its quality, one motion and its rig; and the card of a store on the Hub."""
+"""What `motionkit info` says of a store, its quality, one motion and its rig."""
 
-import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 
@@ -11,7 +9,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from motionkit.core.errors import counted, lasting, markdown_text
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map
@@ -21,142 +18,56 @@ from motionkit.store.cache import cache_bytes
 from motionkit.store.reader import Store
 from motionkit.store.schema import Row
 
-CARD = """\
----
-library_name: motionkit
-tags: [human-motion, motion-capture]
-{head}---
-# Human motion at native framerates
-
-{text}
-
-    {code}
-"""
-STORE_HEAD = """\
-license: other
-license_name: {}
-configs:
-- {{config_name: motions, default: true, data_files: motions/*.parquet}}
-- {{config_name: sequences, data_files: sequences.parquet}}
-- {{config_name: skeletons, data_files: skeletons.parquet}}
-"""
-STORE_TEXT = """\
-{2}: a store of motionkit, whose tables are Parquet; \
-`motionkit.Store.open({0!r})` reads it. `datasets`, pandas, polars and duckdb read the files as they are: \
-`sequences.parquet` has a row for each sequence, `motions/` its frames, joined by `sequence_index`. Every sequence \
-keeps the licence of its source (column `licence`), which says what it may be used for.
-
-| source | sequences | hours | framerates | licences |
-|---|---|---|---|---|
-{1}"""
-READ_STORE = """\
-row = load_dataset({!r}, "motions", split="train").with_format("numpy")[0]
-    joints = row["joint_positions"].reshape(row["num_joints"], 3, row["num_frames"]).transpose(2, 0, 1)"""
 DURATION_EDGES = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0)
 
 
-@dataclass(frozen=True)
-class SourceSummary:
-    """One source's sequences; the mappings count sequences."""
+def summarise(store: Store) -> Row:
+    """Count what a store holds; reads the table of sequences, no frames.
 
-    source: str
-    num_sequences: int
-    hours: float
-    num_frames: int
-    framerates: dict[str, int]
-    splits: dict[str, int]
-    formats: dict[str, int]
-    licences: dict[str, int]
-    num_actions: int
-    num_captions: int
-    num_captioned: int
-    num_skeletons: int
-    joints: dict[str, int]
-    quality_flags: dict[str, int]
-    durations: dict[str, int]
-
-
-@dataclass(frozen=True)
-class StoreSummary:
-    """A whole store; `disk_bytes` are those of the files that the manifest names, `cache_bytes` come on top."""
-
-    path: str
-    fingerprint: str
-    tool: str
-    num_sequences: int
-    hours: float
-    num_frames: int
-    num_skeletons: int
-    num_parts: int
-    num_removed: int
-    disk_bytes: int
-    cache_bytes: int
-    sources: tuple[SourceSummary, ...]
-
-    @property
-    def licences(self) -> tuple[str, ...]:
-        """The licences of all sequences, sorted; "not stated" for those without."""
-        return tuple(sorted({name or "not stated" for source in self.sources for name in source.licences}))
-
-
-def summarise(store: Store) -> StoreSummary:
-    """Count what a store holds; reads the table of sequences, no frames."""
+    `sources` are rows of the same counts for each source, its mappings count sequences. `disk_bytes` are those of the
+    files that the manifest names, `cache_bytes` come on top.
+    """
     sequences, manifest = store.sequences_table, store.manifest
-    return StoreSummary(
-        path=str(store.path),
-        fingerprint=store.fingerprint,
-        tool=manifest.tool,
-        num_sequences=manifest.num_sequences,
-        hours=_hours(sequences),
-        num_frames=store.num_frames,
-        num_skeletons=len(store.skeletons),
-        num_parts=len(manifest.parts),
-        num_removed=manifest.num_removed,
-        disk_bytes=manifest.num_bytes,
-        cache_bytes=cache_bytes(store.path, store.fingerprint),
-        sources=tuple(
-            _summarise_source(source.as_py(), sequences.filter(pc.equal(sequences["source"], source)))
-            # Arrow's own scalars: converting Python's would import pandas.
-            for source in sorted(sequences["source"].unique(), key=lambda scalar: scalar.as_py())
-        ),
-    )
+    # Arrow's own scalars: converting Python's would import pandas.
+    names = sorted(sequences["source"].unique(), key=lambda scalar: scalar.as_py())
+    sources = [_summarise_source(name.as_py(), sequences.filter(pc.equal(sequences["source"], name))) for name in names]
+    return {
+        "path": str(store.path),
+        "fingerprint": store.fingerprint,
+        "tool": manifest.tool,
+        "num_sequences": manifest.num_sequences,
+        "hours": _hours(sequences),
+        "num_frames": store.num_frames,
+        "num_skeletons": len(store.skeletons),
+        "num_parts": len(manifest.parts),
+        "num_removed": manifest.num_removed,
+        "disk_bytes": manifest.num_bytes,
+        "cache_bytes": cache_bytes(store.path, store.fingerprint),
+        "licences": sorted({name or "not stated" for source in sources for name in source["licences"]}),
+        "sources": sources,
+    }
 
 
-def store_card(summary: StoreSummary, address: str) -> str:
-    """The README.md of a store at an address of the Hub, or in a folder: its sources, and how to read it."""
-    rows = []
-    for each in summary.sources:
-        names = ", ".join(name or "not stated" for name in each.licences)
-        cells = (each.source, f"{each.num_sequences:,}", f"{each.hours:.2f}", ", ".join(each.framerates), names)
-        rows.append(f"| {' | '.join(map(markdown_text, cells))} |")
-    size = f"{counted(summary.num_sequences, 'sequence')}, {lasting(3600 * summary.hours)}"
-    return CARD.format(
-        head=STORE_HEAD.format(json.dumps("; ".join(summary.licences))),
-        text=STORE_TEXT.format(address, "\n".join(rows), size),
-        code=READ_STORE.format(address),
-    )
-
-
-def _summarise_source(source: str, rows: pa.Table) -> SourceSummary:
+def _summarise_source(source: str, rows: pa.Table) -> Row:
     num_captions = pc.list_value_length(rows["captions"])
     fps = Counter(map(Fraction, rows["fps_numerator"].to_pylist(), rows["fps_denominator"].to_pylist()))
-    return SourceSummary(
-        source=source,
-        num_sequences=rows.num_rows,
-        hours=_hours(rows),
-        num_frames=_total(rows["num_frames"]),
-        framerates={str(each): fps[each] for each in sorted(fps)},
-        splits=_counts(rows["split"]),
-        formats=_counts(rows["source_format"]),
-        licences=_counts(rows["licence"]),
-        num_actions=len(set(rows["action"].unique().to_pylist()) - {""}),
-        num_captions=_total(num_captions),
-        num_captioned=_total(pc.sign(num_captions)),
-        num_skeletons=len(rows["skeleton"].unique()),
-        joints=_counts(rows["num_joints"]),
-        quality_flags=dict(Counter(pc.list_flatten(rows["quality_flags"]).to_pylist()).most_common()),
-        durations=_durations(rows["duration_seconds"].to_pylist()),
-    )
+    return {
+        "source": source,
+        "num_sequences": rows.num_rows,
+        "hours": _hours(rows),
+        "num_frames": _total(rows["num_frames"]),
+        "framerates": {str(each): fps[each] for each in sorted(fps)},
+        "splits": _counts(rows["split"]),
+        "formats": _counts(rows["source_format"]),
+        "licences": _counts(rows["licence"]),
+        "num_actions": len(set(rows["action"].unique().to_pylist()) - {""}),
+        "num_captions": _total(num_captions),
+        "num_captioned": _total(pc.sign(num_captions)),
+        "num_skeletons": len(rows["skeleton"].unique()),
+        "joints": _counts(rows["num_joints"]),
+        "quality_flags": dict(Counter(pc.list_flatten(rows["quality_flags"]).to_pylist()).most_common()),
+        "durations": _durations(rows["duration_seconds"].to_pylist()),
+    }
 
 
 def _hours(rows: pa.Table) -> float:
@@ -188,6 +99,7 @@ FIGURES = {
     "frozen": ("frozen_seconds", "s", "frozen_seconds", "frozen_start_seconds"),
     "foot_skate": ("foot_skate_metres_per_second", "m/s", "foot_skate_metres_per_second", "NULL"),
     "floor_height": ("floor_height_metres", "m", "abs(floor_height_metres)", "NULL"),
+    "upsampled": ("effective_fps", "fps", "-effective_fps / fps", "NULL"),
     "bone_length": ("bone_length_drift", "of its length", "bone_length_drift", "NULL"),
 }
 SHOWN_WORST = 5
@@ -197,7 +109,7 @@ def report_quality(store: Store, where: str | None = None) -> Row:
     """What looks odd in the sequences for which `where` (SQL) holds; raises `UsageError` for bad SQL.
 
     `sources` counts the sequences of each source by flag, and those without any (`clean`); `worst` lists, by flag, the
-    sequences with the largest figures and where in them; `upsampled` those of a lower framerate than stated.
+    sequences with the worst figures and where in them.
     """
     store.select(where)  # an error names the condition
     chosen = f"(FROM sequences WHERE ({where or 'true'}))"
@@ -225,14 +137,10 @@ def report_quality(store: Store, where: str | None = None) -> Row:
         ).to_pylist()
         if offenders:
             worst.append({"flag": flag, "column": column, "unit": unit, "offenders": offenders})
-    upsampled = store.query(
-        f"SELECT sequence_id, stated_fps, fps, effective_fps FROM {chosen} "
-        "WHERE list_contains(quality_flags, 'upsampled') ORDER BY sequence_index"
-    ).to_pylist()
     num_sequences = sum(source["num_sequences"] for source in sources.values())
     return {
         **{"store": str(store.path), "where": where, "num_sequences": num_sequences},
-        **{"sources": list(sources.values()), "worst": worst, "upsampled": upsampled},
+        **{"sources": list(sources.values()), "worst": worst},
     }
 
 

@@ -202,7 +202,7 @@ def plan_steps(
     The training's state is restored. Raises `UsageError` if fewer than `FEWEST_STEPS` fit, and `DamagedFileError`.
     """
     if folder.budget_path.is_file():
-        trainable.steps = int(folder.read_budget()["steps"])
+        trainable.steps = folder.read_budget()["steps"]
         return
     purpose, state = folder.path.name, {name: tensor.clone() for name, tensor in trainable.state_tensors().items()}
     started, count = clock(), 0

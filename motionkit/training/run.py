@@ -12,7 +12,7 @@ import platform
 import re
 import subprocess
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -127,11 +127,7 @@ class StageFolder:
 
     def read_budget(self) -> dict[str, Any]:
         """Read budget.json; raises `RunError` if there is none, `DamagedFileError`."""
-        budget = {"steps": None} | self._read(self.budget_path)
-        for name, value in budget.items():
-            if not isinstance(value, float | int) or isinstance(value, bool):
-                raise DamagedFileError(self.budget_path, f"{name} is {shown(value)}", HINT)
-        return budget
+        return self._read(self.budget_path)
 
     def append_metrics(self, values: Mapping[str, float]) -> None:
         """Add a line to metrics.jsonl."""
@@ -148,8 +144,11 @@ class StageFolder:
             return []
         if self.is_complete:
             check_recorded(self.metrics_path, HINT)
-        lines = self.metrics_path.read_text(encoding="utf-8", errors="replace").splitlines()
-        return [values for values in map(_metrics_of, lines) if values is not None]
+        metrics = []
+        for line in self.metrics_path.read_text(encoding="utf-8").splitlines():
+            with suppress(ValueError):
+                metrics.append(json.loads(line))
+        return metrics
 
     def keep_metrics(self, step: int) -> None:
         """Drop what was logged after a step, as a checkpoint of that step is resumed."""
@@ -186,16 +185,6 @@ def check_recorded(path: Path, hint: str) -> None:
         recorded = read_record(path.parent, hint).get(path.name)
         if recorded is not None and recorded != sha256_of(path):
             raise DamagedFileError(path, f"its content is not what {RECORD} says", hint)
-
-
-def _metrics_of(line: str) -> dict[str, float] | None:
-    """A line of metrics.jsonl; None for one that was cut off or is none."""
-    try:
-        values = json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-    is_whole = isinstance(values, dict) and "step" in values
-    return values if is_whole and all(isinstance(value, int | float) for value in values.values()) else None
 
 
 @dataclass(frozen=True)
@@ -491,12 +480,6 @@ class StagePlan:
     shares: Mapping[str, float]
     settings: tuple[str, ...] = ()
     next_command: str = ""
-
-
-def recorded_settings(run: RunFolder, stage: str) -> dict[str, Any]:
-    """The settings of a stage of a run, as its config.json holds them."""
-    recorded: dict[str, Any] = run.stage(stage).read_config().get("config", {})
-    return recorded
 
 
 def choose_stages(name: str) -> tuple[Stage[Any], ...]:

@@ -26,7 +26,7 @@ from safetensors.numpy import load_file, save_file
 
 from motionkit.core import plugins
 from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
-from motionkit.core.files import parse_json, sha256_of, whole_file
+from motionkit.core.files import sha256_of, whole_file
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float32
 from motionkit.store.cache import cache_root, writable
@@ -325,6 +325,7 @@ class TransformersEncoder:
 
 
 CLIP_HUB_NAME = "openai/clip-vit-large-patch14"
+TOKENIZERS = ("tokenizer.json", "vocab.json", "vocab.txt")
 
 
 def load_clip(name: str) -> TransformersEncoder:
@@ -336,40 +337,19 @@ def load_transformers(name: str, location: str = "") -> TransformersEncoder:
     """Load from a local folder, or from a hub; `location` is the name itself by default."""
     if find_spec("transformers") is None:
         raise MissingExtraError("transformers", "text")
+    from transformers import AutoConfig
+
     location = location or name
     folder = Path(location)
-    if folder.is_dir():
-        model_type, fingerprint = _model_type(folder), folder_fingerprint(folder)
-    elif folder.is_absolute() or location.startswith((".", "~")) or location.count("/") > 1 or folder.exists():
+    is_path = folder.is_absolute() or location.startswith((".", "~")) or location.count("/") > 1 or folder.exists()
+    if is_path and not folder.is_dir():
         raise MotionkitError(f"there is no folder {location!r} with a text encoder")
-    else:
-        from transformers import AutoConfig
-
-        model_type = str(_load(location, AutoConfig).model_type)
-        fingerprint = hashlib.sha256(location.encode()).hexdigest()
-    return TransformersEncoder(name, location, fingerprint, is_clip=model_type.startswith("clip"))
-
-
-def _model_type(folder: Path) -> str:
-    """The `model_type` of a folder's config; raises `MotionkitError` if config, weights or tokenizer are missing."""
-    config = folder / "config.json"
-    try:
-        model_type = str(parse_json(config.read_text(encoding="utf-8"))["model_type"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise MotionkitError(
-            f"{config}: cannot read model_type ({error}); a text encoder's folder needs a transformers config"
-        ) from None
-    if not any((folder / name).is_file() for name in ("model.safetensors", "model.safetensors.index.json")):
-        raise MotionkitError(
-            f"{folder}: has no model.safetensors, and weights in a pickle can execute code and are not loaded; if you "
-            "trust them, convert them once: AutoModel.from_pretrained(folder).save_pretrained(other)"
-        )
     # transformers makes up a vocabulary where there is none.
-    tokenizers = (("tokenizer.json",), ("vocab.json", "merges.txt"), ("vocab.txt",))
-    if not any(all((folder / name).is_file() for name in names) for names in tokenizers):
-        known = ", or ".join(" and ".join(names) for names in tokenizers)
-        raise MotionkitError(f"{folder}: has no tokenizer ({known}); copy it from the source of the weights")
-    return model_type
+    if folder.is_dir() and not any((folder / each).is_file() for each in TOKENIZERS):
+        raise MotionkitError(f"{folder}: has no tokenizer ({' or '.join(TOKENIZERS)}): copy it beside the weights")
+    model_type = str(_load(location, AutoConfig).model_type)
+    fingerprint = folder_fingerprint(folder) if folder.is_dir() else hashlib.sha256(location.encode()).hexdigest()
+    return TransformersEncoder(name, location, fingerprint, is_clip=model_type.startswith("clip"))
 
 
 def folder_fingerprint(folder: Path) -> str:

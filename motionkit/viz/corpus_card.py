@@ -1,24 +1,20 @@
 """A store's summary as self-contained HTML: sources, framerates, durations, splits, licences, flags."""
 
-from typing import TYPE_CHECKING
-
 from motionkit.edit.export import render
-
-if TYPE_CHECKING:
-    from motionkit.store.reports import StoreSummary
+from motionkit.store.schema import Row
 
 
-def corpus_card(summary: "StoreSummary") -> str:
+def corpus_card(summary: Row) -> str:
     """An `<article>` to embed in a page, with its own style."""
     sources = []
-    for source in summary.sources:
+    for source in summary["sources"]:
         counts = {
-            "framerate (fps)": source.framerates,
-            "duration": source.durations,
-            "split": source.splits,
-            "licence": source.licences,
-            "format": source.formats,
-            "flags": source.quality_flags,
+            "framerate (fps)": source["framerates"],
+            "duration": source["durations"],
+            "split": source["splits"],
+            "licence": source["licences"],
+            "format": source["formats"],
+            "flags": source["quality_flags"],
         }
         named = {
             title: {name or "not stated": count for name, count in values.items()} for title, values in counts.items()

@@ -77,9 +77,6 @@ def test_no_help_text_is_read_as_markup() -> None:
 
 def test_versions(motionkit: Callable[..., Outcome]) -> None:
     assert motionkit("--version").stdout == f"motionkit {version('motionkit')}\n"
-    verbose = motionkit("--version", "--verbose")
-    topics = {line.split()[0] for line in verbose.stdout.splitlines()}
-    assert verbose.code == 0 and {"motionkit", "python", "torch", "threads", "extra"} <= topics
 
 
 @pytest.mark.parametrize(("typed", "completed"), [("comp", {"compact", "complete"}), ("remove --wh", {"--where"})])

@@ -18,9 +18,9 @@ from motionkit.store.writer import StoreWriter
 from motionkit.training.config import apply_overrides
 from motionkit.training.networks import kl_divergence
 from motionkit.training.run import RunFolder, StageContext, StageFolder
-from nerm.encoding import encode_windows
+from nerm.encoding import NermEncoder
 from nerm.field_training import RowAdam, train_field
-from nerm.model import TrainedField, load_field, save_field
+from nerm.model import LatentMotionField, TrainedField, load_field, save_field
 from nerm.recipes import nano
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.nerm_corpus import FPS
@@ -123,7 +123,7 @@ def test_a_field_of_each_convention_trains_saves_and_decodes(store: Store, name:
     config = apply_overrides(nano(), [*TINY.split(), *layout, f"field.pose_vectors={name}"])
     train_field(StageContext(store.path, RunFolder(tmp_path / "run"), "nano", device="cpu"), config)
     trained = load_field(tmp_path / "run")
-    cache, frames = open_frames(trained.vectors, store, None)
+    cache, _ = open_frames(trained.vectors, store, None)
     windows = trained.windows
     times = np.linspace(0.0, 3.5, 36)
     truth = window_truth(cache, windows, 0, Fraction(60))[np.round(times * 60).astype(int)]
@@ -136,6 +136,7 @@ def test_a_field_of_each_convention_trains_saves_and_decodes(store: Store, name:
     poses = motion_field.at_fps(Fraction(60)).query(times[[20, 3]])
     assert (poses.local_rotations is not None) == (name == "rotations")
     np.testing.assert_allclose(poses.joint_positions[:, :22], found[[20, 3]], atol=2e-3)
-    latents = encode_windows(trained, windows.select(np.array([0])), frames)
-    again = trained.poses(latents[0], times, Fraction(60)).joint_positions[:, :22]
+    (encoded,) = NermEncoder(trained).other_windows(store, None).fields(np.array([0]))
+    assert isinstance(encoded, LatentMotionField)
+    again = trained.poses(encoded.latent, times, Fraction(60)).joint_positions[:, :22]
     assert np.linalg.norm(again - truth, axis=-1).mean() < 0.6 * standing

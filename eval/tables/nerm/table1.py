@@ -16,7 +16,7 @@ from eval.native_evaluator.evaluator import load_evaluator
 from eval.report.results import Block, Cell, Row, cell_of, measure, score_differences, with_differences
 from eval.sample_embeddings import Embedded, sample_embeddings
 from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, refusal
-from eval.sets.sets import REAL, RowId, check_sample_names, size_remarks
+from eval.sets.sets import REAL, RowId, check_sample_names, size_remark
 from eval.tables.systems import Trained, TrainedModel, trained_models
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
 from eval.text_motion.guo import load_guo, load_motion_clip
@@ -265,7 +265,7 @@ class _Comparison:
         config, notes = self.config, [found.note]
         reference = self.pairs if found.real_rows is None else self.pairs.select(found.real_rows)
         if row != REAL:
-            notes += size_remarks(self.pairs.motions, reference.motions, found.draws[0].motions, config.seed)
+            notes.append(size_remark(reference.motions, found.draws[0].motions, config.seed))
         ranked = tuple(
             score_retrieval(reference, found.draws, rule, self.sentences[found.real_rows], config.seed)
             for rule in self.protocol.retrieval

@@ -20,7 +20,7 @@ from eval.sets.motions import (
     real_motion,
     training_motion,
 )
-from eval.sets.sets import REAL, Missing, RowId, SampleSet, Variant, copied_sequences
+from eval.sets.sets import REAL, Missing, RowId, SampleSet, Variant
 from eval.tables.systems import (
     COLUMNS,
     LOW_FPS,
@@ -46,7 +46,6 @@ COPIES = "Copies of training motion"
 HELD_OUT = RowId(REAL.system, Variant.HELD_OUT)
 COPIED = "copied (%)"
 SHARES = {"nearest (mm)": 0.0, "5 % (mm)": 0.05, "25 % (mm)": 0.25, "50 % (mm)": 0.5, "95 % (mm)": 0.95}
-COPIED_NOTE = "a set of nothing else scores like independent draws (P1), which says nothing of a model"
 MAX_COPIES = 60
 COPIES_NOTE = (
     f"Copied are windows of a second that are nearer to training motion, for how much they move, than "
@@ -124,15 +123,11 @@ def compute(config: EvalConfig, store: Store) -> Content:
     notes = _row_notes(training, config)
     sheets = [Sheet(source) for source in feature_sources(config.evaluators, config.guo, config.missing)]
     real_sets: dict[str, dict[str, float]] = {}
-    copied: dict[str, list[str]] = {}
     details: list[Block] = []
     for fps in rates:
         # One column's motions at a time: all framerates together need three times the memory.
         column, name = make_column(fps, real, train, generated, config), label(fps)
         real_sets[name] = {"sequences": column.real.num_sequences, "seconds": column.real.duration_seconds}
-        others = {str(row): samples for row, samples in column.rows.items() if row not in REFERENCES}
-        for row, count in copied_sequences(column.real, others).items():
-            copied.setdefault(row, []).append(f"{name} ({count} of {others[row].num_sequences})")
         for sheet in sheets:
             with config.missing.skipping(f"{name}, {sheet.source.name}"):
                 sheet.add(column, config)
@@ -176,10 +171,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
             ),
         ),
         definition={"protocol": asdict(protocol), "real_sets": real_sets},
-        notes=(
-            "Columns hold different sequences: numbers compare down a column, not along a row.",
-            *(f"{row} holds copies of {real.name}: {', '.join(found)}; {COPIED_NOTE}" for row, found in copied.items()),
-        ),
+        notes=("Columns hold different sequences: numbers compare down a column, not along a row.",),
     )
 
 

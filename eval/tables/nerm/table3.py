@@ -13,7 +13,7 @@ from eval.metrics.distributions import kid
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, cell_of, measure, score_differences, with_differences
 from eval.sets.motions import VARIANT_NOTES, RealMotion, has_training, real_motion
-from eval.sets.sets import REAL, RowId, check_sample_names, size_remarks
+from eval.sets.sets import REAL, RowId, check_sample_names, size_remark
 from eval.tables.systems import trained_models
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
 from motionkit.core.errors import UsageError, counted
@@ -193,10 +193,10 @@ def _blocks(
             if not is_real:
                 own[system.row] = scores.values
                 notes += [line for line in scores.remarks if line not in protocol.remarks]
-                notes += size_remarks(references["test"], references["test"], first, config.seed)
+                notes.append(size_remark(references["test"], first, config.seed))
             if len(first) <= first.shape[1]:
                 notes.append(f"no more motions than the recogniser's {first.shape[1]} features: read KID, not FID")
-            rows.append(Row(str(system.row), "reference" if is_real else "ours", cells, "; ".join(notes)))
+            rows.append(Row(str(system.row), "reference" if is_real else "ours", cells, "; ".join(filter(None, notes))))
     block = Block(
         f"Protocol {protocol.name!r}: {source.title}",
         tuple(column for column in dict.fromkeys(columns.values()) if any(column in row.cells for row in rows)),

@@ -15,14 +15,12 @@ from typer.testing import CliRunner, Result
 import motionkit as mk
 from motionkit.cli.export import export
 from motionkit.cli.hub import pull, push
-from motionkit.cli.ingest import ingest
 from motionkit.core.errors import DamagedFileError, StoreError
 from motionkit.store.commit import read_manifest
 from motionkit.store.hub import HubError
 from motionkit.store.life import compact, remove
 from motionkit.training.loop import save_tensors
 from motionkit.training.run import RunFolder
-from tests.helpers.format_samples import bvh_text
 from tests.helpers.hub import Hub, local_hub
 from tests.helpers.pages import run_page
 from tests.helpers.repository import REPOSITORY
@@ -172,19 +170,6 @@ def test_complete_stages_of_a_run_go_and_come_back(hub: Hub, run_folder: RunFold
         assert not run_folder.path.with_name("damaged").exists()
         run_folder.stage("field").model_path.write_bytes(damaged)
         assert isinstance(run(push, "hf://me/walker", "--run", "walker").exception, DamagedFileError)
-
-
-def test_captures_of_a_repository_are_ingested_under_its_name(hub: Hub, tmp_path: Path) -> None:
-    table = b"file,caption\nwalk.bvh,a person walks\n"
-    files = {"walk.bvh": bvh_text(8).encode(), "captions.csv": table, ".gitattributes": b""}
-    hub.add("datasets/me/takes", {**files, "more/run.bvh": bvh_text(9).encode()})
-    assert "ignored" not in done(ingest, "hf://datasets/me/takes", "--workers", "1")
-    held = mk.Store.open("store")
-    assert set(held) == {"takes/walk", "takes/more/run"}
-    assert [caption.text for caption in held["takes/walk"].captions] == ["a person walks"]
-    assert held["takes/walk"].provenance.source_path == "walk.bvh"
-    done(ingest, "hf://datasets/me/takes/more", "--workers", "1", "--store", "part")
-    assert list(mk.Store.open("part")) == ["more/run"]
 
 
 def test_the_how_to_runs(hub: Hub, store: mk.Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -246,14 +246,14 @@ def test_a_long_motion_is_shown_in_part(motion: mk.Motion) -> None:
 def test_every_count_is_drawn_and_a_strangers_names_are_text(tmp_path: Path) -> None:
     write_store(tmp_path / "<b>store")
     summary = summarise(mk.Store.open(tmp_path / "<b>store"))
-    (source,) = summary.sources
+    (source,) = summary["sources"]
     article = corpus_card(summary).strip()
     assert "<b>store" not in article and "&lt;b&gt;store" in article and "src=" not in article and "http" not in article
     items = [[text for text in each.itertext() if text.strip()] for each in ElementTree.fromstring(article).iter("li")]
-    for counts in (source.framerates, source.durations, source.splits, source.formats):
+    for counts in (source[name] for name in ("framerates", "durations", "splits", "formats")):
         drawn = [[name or "not stated", f"{count:,}"] for name, count in counts.items()]
         assert drawn and [each for each in drawn if each not in items] == []
-    assert sum(source.durations.values()) == source.num_sequences
+    assert sum(source["durations"].values()) == source["num_sequences"]
     assert article.startswith("<article") and "<html" not in article
 
 
