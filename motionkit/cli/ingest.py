@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -145,15 +146,16 @@ def ingest(
         raise MotionkitError(f"stopped at the first problem; the store {report.store} is as it was")
     if not report.num_in_store:
         raise MotionkitError(f"nothing could be stored in {report.store}")
-    if report.problems and not report.stored.num_sequences:
+    if report.problems and not report.stored.num_rows:
         raise MotionkitError(f"nothing was stored; the store {report.store} is as it was")
 
 
 def _print_summary(report: "IngestReport", of_store: str) -> None:
-    stored = report.stored
+    stored = report.stored.select(["num_frames", "duration_seconds", "quality_flags", "split", "subject"]).to_pydict()
+    num_sequences = report.stored.num_rows
     stdout.print(
-        f"stored {counted(stored.num_sequences, 'sequence')} ({lasting(stored.duration_seconds)}, "
-        f"{counted(stored.num_frames, 'frame')}) in {report.store}, which holds {report.num_in_store:,}",
+        f"stored {counted(num_sequences, 'sequence')} ({lasting(sum(stored['duration_seconds']))}, "
+        f"{counted(sum(stored['num_frames']), 'frame')}) in {report.store}, which holds {report.num_in_store:,}",
     )
     if report.num_already_stored:
         stdout.print(f"already there: {report.num_already_stored:,}, as they were (--overwrite makes the store anew)")
@@ -168,16 +170,16 @@ def _print_summary(report: "IngestReport", of_store: str) -> None:
         stdout.print(f"ignored: {len(report.ignored):,} ({listed}; the first: {report.ignored[0]})")
     for name, counts in report.datasets.items():
         stdout.print(f"{name or '-'}: {', '.join(f'{number:,} {state}' for state, number in counts.items())}")
-    if not stored.num_sequences:
+    if not num_sequences:
         return
-    if stored.num_flagged:
-        flags = ", ".join(f"{count:,} {flag}" for flag, count in stored.flags.most_common())
+    if num_flagged := sum(map(bool, stored["quality_flags"])):
+        flags = ", ".join(f"{count:,} {flag}" for flag, count in _counts(chain(*stored["quality_flags"])).items())
         stdout.print(
-            f"quality: {counted(stored.num_flagged, 'sequence')} with flags ({flags}); "
+            f"quality: {counted(num_flagged, 'sequence')} with flags ({flags}); "
             f"'motionkit info --quality{of_store}' lists them"
         )
-    by = "" if stored.num_with_performer == stored.num_sequences else " --by sequence_id"
-    is_split = 2 * stored.num_in_splits >= stored.num_sequences
+    by = "" if all(stored["subject"]) else " --by sequence_id"
+    is_split = 2 * sum(map(bool, stored["split"])) >= num_sequences
     stdout.print(f"next: motionkit {'train' if is_split else 'split' + by}{of_store}")
 
 
@@ -189,14 +191,14 @@ def _as_json(report: "IngestReport") -> dict[str, Any]:
     return {
         "store": str(report.store),
         "committed": report.committed,
-        "stored": report.stored.num_sequences,
-        "frames": report.stored.num_frames,
-        "hours": report.stored.duration_seconds / 3600,
+        "stored": report.stored.num_rows,
+        "frames": sum(report.stored["num_frames"].to_pylist()),
+        "hours": sum(report.stored["duration_seconds"].to_pylist()) / 3600,
         "already_stored": report.num_already_stored,
         "sequences_in_store": report.num_in_store,
         "failed": _counts(each.reason for each in report.problems),
         "warnings": _counts(each.reason for each in report.warnings),
-        "quality_flags": dict(report.stored.flags.most_common()),
+        "quality_flags": _counts(chain(*report.stored["quality_flags"].to_pylist())),
         "datasets": report.datasets,
         "ignored": _counts(path.suffix.lower() or path.name for path in report.ignored),
         "ignored_paths": [str(path) for path in report.ignored],

@@ -195,19 +195,18 @@ def merge(
 
     Example: motionkit merge tests store --where "split = 'test'"
     """
+    from motionkit.store.commit import read_manifest
     from motionkit.store.life import merge as merge_stores
 
     with progress() as show, task(show, "merge") as work:
-        report = merge_stores(out, sources, where=where, on_start=work.set_total, on_sequence=work.advance)
+        new, known = merge_stores(out, sources, where=where, on_start=work.set_total, on_sequence=work.advance)
+    in_store = read_manifest(out).num_sequences
     if as_json:
-        counts = {"stored": report.num_stored, "already_stored": report.num_already_stored}
-        print_json({"store": str(report.store), **counts, "sequences_in_store": report.num_in_store})
+        print_json({"store": str(out), "stored": new, "already_stored": known, "sequences_in_store": in_store})
         return
-    stdout.print(
-        f"stored {counted(report.num_stored, 'sequence')} in {report.store}, which holds {report.num_in_store:,}"
-    )
-    if report.num_already_stored:
-        stdout.print(f"already there: {report.num_already_stored:,}")
+    stdout.print(f"stored {counted(new, 'sequence')} in {out}, which holds {in_store:,}")
+    if known:
+        stdout.print(f"already there: {known:,}")
 
 
 def compact(store: ChangedStore = None, as_json: AsJson = False) -> None:

@@ -13,6 +13,8 @@ from itertools import count, groupby, islice
 from pathlib import Path
 from typing import Literal
 
+import pyarrow as pa
+
 from motionkit.core.errors import FormatError, MotionkitError, StoreError
 from motionkit.core.files import is_store
 from motionkit.core.progress import OnProgress, Task, ignore, task
@@ -22,8 +24,9 @@ from motionkit.io.body_frame import standing_metres
 from motionkit.io.cuts import missing_seconds, unlike_stated_seconds
 from motionkit.io.registry import ReadOptions, ScanResult, SourceItem
 from motionkit.io.scan import read, scan
-from motionkit.store.commit import pending_part, read_manifest
-from motionkit.store.schema import MOTIONS_FOLDER, EncodedMotion, RefusedMotion, Row, encode
+from motionkit.store.commit import pending_part
+from motionkit.store.reader import Store
+from motionkit.store.schema import MOTIONS_FOLDER, SEQUENCES, EncodedMotion, RefusedMotion, Row, encode
 from motionkit.store.workers import LOCAL, WorkerDied, Workers, check_engine, start_workers, usable_cores
 from motionkit.store.writer import PartWriter, PendingPart, StoreWriter
 
@@ -157,41 +160,19 @@ def _read_again(workers: Workers, function: Callable[..., ReadChunk], chunk: Seq
     raise MotionkitError("workers end whatever they read: killed, or out of memory? --workers 1 shows where")
 
 
-@dataclass
-class StoredCounts:
-    """What an ingest added: sequences, frames and seconds; and how many have a flag, a split, a performer."""
-
-    num_sequences: int = 0
-    num_frames: int = 0
-    duration_seconds: float = 0.0
-    num_flagged: int = 0
-    num_in_splits: int = 0
-    num_with_performer: int = 0
-    flags: Counter[str] = field(default_factory=Counter)
-
-    def add(self, row: Row) -> None:
-        """Count one row of the table of sequences."""
-        self.num_sequences += 1
-        self.num_frames += row["num_frames"]
-        self.duration_seconds += row["duration_seconds"]
-        self.num_flagged += bool(row["quality_flags"])
-        self.num_in_splits += bool(row["split"])
-        self.num_with_performer += bool(row["subject"])
-        self.flags.update(row["quality_flags"])
-
-
 @dataclass(frozen=True)
 class IngestReport:
     """Result of an ingest: what it stored, what the store had already, problems (each costs a sequence), warnings.
 
-    `datasets` counts an index's sequences by dataset: `found` files that are there, `missing` and `failed` ones.
-    `ignored` are the files of the sources' folders that are no sequences and belong to none. `committed` is False where
-    the store was left as it was: after a problem under `stop`, or with nothing to store.
+    `stored` are the added rows of the table of sequences. `datasets` counts an index's sequences by dataset: `found`
+    files that are there, `missing` and `failed` ones. `ignored` are the files of the sources' folders that are no
+    sequences and belong to none. `committed` is False where the store was left as it was: after a problem under `stop`,
+    or with nothing to store.
     """
 
     store: Path
     committed: bool
-    stored: StoredCounts
+    stored: pa.Table
     num_already_stored: int
     num_in_store: int
     problems: tuple[FormatError, ...]
@@ -240,12 +221,13 @@ def ingest(
         except OSError as error:
             # Readers report problems of files; this is the store's disk, before the commit: full, or not writable.
             raise StoreError(f"the store {store} cannot be written ({error}); it is as it was") from None
+    sequences = Store.open(store).sequences_table if is_store(store) else SEQUENCES.empty_table()
     return IngestReport(
         store=store,
         committed=committed,
-        stored=run.stored if committed else StoredCounts(),
+        stored=sequences.slice(sequences.num_rows - (run.num_stored if committed else 0)),
         num_already_stored=run.num_already_stored,
-        num_in_store=read_manifest(store).num_sequences if is_store(store) else 0,
+        num_in_store=sequences.num_rows,
         problems=tuple(run.problems),
         warnings=tuple(run.warnings),
         datasets=_datasets(scanned, run.failed_by_dataset) if options.index else {},
@@ -275,7 +257,7 @@ class _Ingest:
     work: Task
     on_problem: Callable[[FormatError], None]
     on_warning: Callable[[FormatError], None]
-    stored: StoredCounts = field(default_factory=StoredCounts)
+    num_stored: int = 0
     num_already_stored: int = 0
     problems: list[FormatError] = field(default_factory=list)
     warnings: list[FormatError] = field(default_factory=list)
@@ -300,7 +282,7 @@ class _Ingest:
             with closing(workers.map(function, chunks, partial(_read_again, workers, function))) as results:
                 for chunk, result in results:
                     self._add_chunk(chunk, result)
-            if not self.stored.num_sequences:
+            if not self.num_stored:
                 raise _Stopped
         self._check_maps()
 
@@ -339,7 +321,7 @@ class _Ingest:
         self.bodies.add(skeleton)
         for warning in _warnings_of(item, row):
             self._warn(warning)
-        self.stored.add(row)
+        self.num_stored += 1
 
     def _check_rig(self, item: SourceItem, skeleton: Skeleton) -> None:
         # Joints that no layout knows are reported once, whatever the lengths of their bones; the motions are kept.

@@ -109,16 +109,6 @@ def compact(path: Path, on_sequence: OnSequence = lambda: None, *, part_bytes: i
     return changes
 
 
-@dataclass(frozen=True)
-class MergeReport:
-    """Result of a merge: sequences stored, and those already there."""
-
-    store: Path
-    num_stored: int
-    num_already_stored: int
-    num_in_store: int
-
-
 def merge(
     out: Path,
     sources: Sequence[Path],
@@ -126,9 +116,10 @@ def merge(
     where: str | None = None,
     on_start: Callable[[int], None] = lambda num_sequences: None,
     on_sequence: OnSequence = lambda: None,
-) -> MergeReport:
+) -> tuple[int, int]:
     """Copy the sequences of stores, or those for which a SQL condition holds, into one, which is created or added to.
 
+    Returns the numbers of sequences stored, and of those already there.
     Order is that of the sources and of their sequences; frames and figures are copied as they are. A sequence that
     `out` or an earlier source holds from an equal file is left alone; the same id from another file is a conflict,
     and nothing is written. Raises `StoreError` for conflicts and for stores that are missing or damaged; `BusyError`
@@ -166,7 +157,7 @@ def merge(
             for motion in store.read_encoded(indices):
                 writer.add_encoded(motion)
                 on_sequence()
-    return MergeReport(out, len(sha256_of), num_known, committed(out).num_sequences)
+    return len(sha256_of), num_known
 
 
 @dataclass(frozen=True)

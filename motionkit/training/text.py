@@ -325,7 +325,11 @@ class TransformersEncoder:
 
 
 CLIP_HUB_NAME = "openai/clip-vit-large-patch14"
-TOKENIZERS = ("tokenizer.json", "vocab.json", "vocab.txt")
+# Files of a folder, one of each. Without a tokenizer transformers makes up a vocabulary.
+NEEDED = {
+    "weights": ("model.safetensors", "model.safetensors.index.json"),
+    "tokenizer": ("tokenizer.json", "vocab.json", "vocab.txt"),
+}
 
 
 def load_clip(name: str) -> TransformersEncoder:
@@ -344,9 +348,11 @@ def load_transformers(name: str, location: str = "") -> TransformersEncoder:
     is_path = folder.is_absolute() or location.startswith((".", "~")) or location.count("/") > 1 or folder.exists()
     if is_path and not folder.is_dir():
         raise MotionkitError(f"there is no folder {location!r} with a text encoder")
-    # transformers makes up a vocabulary where there is none.
-    if folder.is_dir() and not any((folder / each).is_file() for each in TOKENIZERS):
-        raise MotionkitError(f"{folder}: has no tokenizer ({' or '.join(TOKENIZERS)}): copy it beside the weights")
+    for what, names in NEEDED.items() if folder.is_dir() else ():
+        if not any((folder / each).is_file() for each in names):
+            raise MotionkitError(
+                f"{folder}: has no {what} ({' or '.join(names)}): save_pretrained of transformers makes it"
+            )
     model_type = str(_load(location, AutoConfig).model_type)
     fingerprint = folder_fingerprint(folder) if folder.is_dir() else hashlib.sha256(location.encode()).hexdigest()
     return TransformersEncoder(name, location, fingerprint, is_clip=model_type.startswith("clip"))

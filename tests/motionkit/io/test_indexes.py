@@ -232,7 +232,7 @@ def stores(amass: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[bool, 
         index = IndexOptions((amass / "index.csv",), mirrored=True, published=published)
         path = tmp_path_factory.mktemp("store") / "s"
         report = ingest([amass], path, options=ReadOptions(index=index), num_workers=1)
-        assert (report.problems, report.stored.num_sequences) == ((), 2 * len(CLIPS))
+        assert (report.problems, report.stored.num_rows) == ((), 2 * len(CLIPS))
         found[published] = mk.Store.open(path)
     return found
 

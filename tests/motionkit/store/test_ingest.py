@@ -36,12 +36,12 @@ def test_an_index_is_the_place_among_what_is_new(tmp_path: Path, monkeypatch: py
     good = broken.read_text()
     broken.write_text("HIERARCHY\n")
     first = ingest([folder], tmp_path / "store", num_workers=workers)
-    assert (first.stored.num_sequences, len(first.problems)) == (4, 1)
+    assert (first.stored.num_rows, len(first.problems)) == (4, 1)
     assert Store.open(tmp_path / "store").sequences["sequence_index"].tolist() == [0, 1, 3, 4]
     broken.write_text(good)
     (folder / "5.bvh").write_text((folder / "4.bvh").read_text())
     second = ingest([folder], tmp_path / "store", num_workers=workers)
-    assert (second.stored.num_sequences, second.num_already_stored) == (2, 4)
+    assert (second.stored.num_rows, second.num_already_stored) == (2, 4)
     store = Store.open(tmp_path / "store")
     assert store.sequences["sequence_index"].tolist() == [0, 1, 3, 4, 5, 6]
     assert [store.read(index).num_frames for index in (0, 3, 5, 6)] == [20, 50, 40, 60]
@@ -142,7 +142,7 @@ def test_the_store_does_not_depend_on_the_engine(tmp_path: Path, monkeypatch: py
         name: ingest([folder], tmp_path / name, engine=engine, num_workers=number)
         for name, engine, number in (("alone", "local", 1), ("local", "local", 2), ("ray", "ray", 2))
     }
-    assert {report.stored.num_sequences for report in reports.values()} == {67}
+    assert {report.stored.num_rows for report in reports.values()} == {67}
     assert len({tuple(map(str, report.problems)) for report in reports.values()}) == 1
     assert len({(tmp_path / name / "manifest.json").read_bytes() for name in reports}) == 1
     assert len(Store.open(tmp_path / "ray").manifest.parts) > 3
