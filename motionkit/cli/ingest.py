@@ -154,7 +154,7 @@ def _print_summary(report: "IngestReport", of_store: str) -> None:
     stored = report.stored.select(["num_frames", "duration_seconds", "quality_flags", "split", "subject"]).to_pydict()
     num_sequences = report.stored.num_rows
     stdout.print(
-        f"stored {counted(num_sequences, 'sequence')} ({lasting(sum(stored['duration_seconds']))}, "
+        f"stored {counted(num_sequences, 'sequence')} ({lasting(sum(stored['duration_seconds'], 0.0))}, "
         f"{counted(sum(stored['num_frames']), 'frame')}) in {report.store}, which holds {report.num_in_store:,}",
     )
     if report.num_already_stored:
