@@ -315,7 +315,7 @@ def small() -> NermConfig:
 
 
 def base() -> NermConfig:
-    """An hour on an H100: `nano` at the paper's widths; docs/nerm.md counts the FLOPs."""
+    """An hour on an H100: `nano` at the paper's widths; docs/howto/seed.md counts the FLOPs."""
     return _changed(
         replace(nano(), codebook=CodebookConfig()),
         "codebook.schedule.steps=20000 codebook.schedule.drop_every=0.65 codebook.precision=auto "

@@ -17,7 +17,7 @@ import numpy as np
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float, Float64
+from motionkit.core.shapes import Float, Float32
 from motionkit.io import body_frame, joints_csv, source_file
 from motionkit.io.kimodo import g1
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
@@ -36,16 +36,16 @@ def accepts(head: FileHead) -> bool:
     return set(SEED_ROOT) <= set(names) or (len(names) == NUM_COLUMNS and all(map(NUMBER.fullmatch, names)))
 
 
-def posed(
-    root: Float[np.ndarray, "frames 3"], rotation: Float[np.ndarray, "frames 4"], angles: Float[np.ndarray, "frames 29"]
-) -> tuple[Float64[np.ndarray, "frames 34 3"], Float64[np.ndarray, "frames 34 4"]]:
-    """Joint positions in metres and local rotations of a root's place and rotation, and angles in radians."""
+def local_rotations(
+    rotation: Float[np.ndarray, "frames 4"], angles: Float[np.ndarray, "frames 29"]
+) -> Float32[np.ndarray, "frames 34 4"]:
+    """Local rotations of the robot's joints for the root's rotation and the hinges' angles in radians."""
     skeleton, turns, axes = g1()
     vectors = np.zeros((len(angles), skeleton.num_joints, 3))
     vectors[:, HINGES] = angles[..., None] * axes[list(HINGES)]
     local = kinematics.quaternion_multiply(turns, kinematics.rotation_vector_to_quaternion(vectors))
     local[:, 0] = rotation
-    return kinematics.forward_kinematics(local, root, skeleton), local
+    return local.astype(np.float32)
 
 
 def read_g1_csv(path: Path, options: ReadOptions = ReadOptions(), order: str = "") -> Motion:
@@ -77,25 +77,16 @@ def read_g1_csv(path: Path, options: ReadOptions = ReadOptions(), order: str = "
         rotation = rotation if first else np.roll(rotation, 1, axis=1)
         rotation = rotation / np.maximum(np.linalg.norm(rotation, axis=1, keepdims=True), 1e-9)
         log.append(f"quaternions' w stands {'first' if first else 'last'}" + ("" if order else " (the pelvis upright)"))
-    positions, local = posed(root, rotation, angles)
-    up = options.up or "z"
-    log += body_frame.log_lines(up, options.up)
-    fps = options.fps or usual
-    log += source_file.replaced_fps(fps, usual, who="the format")
-    positions, local = positions.astype(np.float32), local.astype(np.float32)
+    up, fps = options.up or "z", options.fps or usual
+    log += [*body_frame.log_lines(up, options.up), *source_file.replaced_fps(fps, usual, who="the format")]
+    local = local_rotations(rotation, angles)
     motion = source_file.motion_of(
-        path, data, "g1-csv", g1()[0], fps, log, positions=positions, rotations=local, root=positions[:, 0]
+        path, data, "g1-csv", g1()[0], fps, log, rotations=local, root=root.astype(np.float32)
     )
     return body_frame.turned(motion, up)
 
 
 FORMATS = {
-    name: Format(
-        name=name,
-        read=of_path(partial(read_g1_csv, order=order)),
-        suffixes=(".csv",),
-        accepts=accepts,
-        turns_up=True,
-    )
+    name: Format(name, of_path(partial(read_g1_csv, order=order)), (".csv",), accepts, turns_up=True)
     for name, order in (("g1-csv", ""), (W_FIRST, W_FIRST), (W_LAST, W_LAST))
 }

@@ -51,7 +51,6 @@ ENDINGS = ("_poses", "_stageii")
 MIRROR = "M"
 SEED_PATHS = ("move_soma_uniform_path", "move_soma_proportional_path", "move_g1_path", "move_g1_mujoco_path")
 SEED_TEXTS = (*(f"natural_desc_{number}" for number in "1234"), "short_description", "short_description_2")
-SEED_TIMES = ("start_time", "end_time")
 SEED_LABELS = "*temporal_labels*.jsonl"
 HUMANML3D_COLUMNS = ("source_path", "start_frame", "end_frame", "new_name")
 HUMANACT12 = "humanact12"
@@ -299,8 +298,10 @@ def _seed_events(folder: Path) -> dict[str, list[Any]]:
         return {}
     events: dict[str, list[Any]] = {}
     for line, text in enumerate(source_file.decode(source_file.read_bytes(path), path).split("\n"), start=1):
+        if not text.strip():
+            continue
         try:
-            labels = parse_json(text) if text.strip() else {"filename": "", "events": []}
+            labels = parse_json(text)
             events[labels["filename"]] = list(labels["events"])
         except (ValueError, TypeError, KeyError):
             message = "expected JSON with filename and events on each line"
@@ -316,7 +317,8 @@ def _seed(name: str, row: Mapping[str, str | None], events: Iterable[Any]) -> En
     for event in events:
         if not isinstance(event, dict) or not isinstance(event.get("description"), str):
             raise ValueError("an event without a description")
-        captions.append(Caption(event["description"], *sorted(_seconds(event.get(at), at) for at in SEED_TIMES)))
+        start, end = sorted(_seconds(event.get(which), which) for which in ("start_time", "end_time"))
+        captions.append(Caption(event["description"], start, end))
     return Entry(
         name=name,
         parts=paths[0] if paths else _source_parts(None),

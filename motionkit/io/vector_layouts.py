@@ -88,14 +88,15 @@ def read_vectors(path: Path, options: ReadOptions, layout: VectorLayout) -> Moti
         sixes = values[:, layout.rotations : layout.rotations + 6 * count]
         matrices = joint_rotations.matrices_of(sixes, layout.form, path)
     if layout.name == "g1-38" and matrices is not None:
-        positions, local = g1_csv.posed(root, kinematics.matrix_to_quaternion(matrices[:, 0]), values[:, 9:])
-        positions, matrices = positions.astype(np.float32), kinematics.quaternion_to_matrix(local)
+        local = g1_csv.local_rotations(kinematics.matrix_to_quaternion(matrices[:, 0]), values[:, 9:])
+        matrices = kinematics.quaternion_to_matrix(local)
+        positions = kinematics.forward_kinematics(local, root, skeleton)
     else:
         positions = _positions(values, root, layout, matrices)
     if matrices is not None and layout.is_global:
-        local = np.matmul(matrices[:, skeleton.parents_or_self].swapaxes(-1, -2), matrices)
-        local[:, 0] = matrices[:, 0]
-        matrices = local
+        local_matrices = np.matmul(matrices[:, skeleton.parents_or_self].swapaxes(-1, -2), matrices)
+        local_matrices[:, 0] = matrices[:, 0]
+        matrices = local_matrices
     if skeleton is not SMPL22:
         skeleton = replace(skeleton, offsets=positions[0] - positions[0, skeleton.parents_or_self])
     positions = positions * np.float32(options.unit_metres or 1.0)
