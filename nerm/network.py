@@ -116,16 +116,26 @@ class CodebookCoordinateAttention(nn.Module):
         self.to_codebook = AttentionBlock(width, heads)
         self.refine = nn.ModuleList(AttentionBlock(width, heads) for _ in range(config.num_layers))
         self.to_prototypes = AttentionBlock(width, heads)
+        self._kept: tuple[list[tuple[int, int]], Tensor] | None = None
+
+    def prototypes(self) -> Float[Tensor, "queries width"]:
+        """The queries after attention to the codebook, then to each other; in inference kept while weights stay."""
+        if torch.is_grad_enabled() or torch.is_autocast_enabled(self.codebook.device.type):
+            return self._prototypes()
+        weights = [(each.data_ptr(), each._version) for each in self.state_dict(keep_vars=True).values()]
+        if self._kept is None or self._kept[0] != weights:
+            self._kept = weights, self._prototypes()
+        return self._kept[1]
+
+    def _prototypes(self) -> Float[Tensor, "queries width"]:
+        tokens: Tensor = self.to_codebook(self.query_embeddings, self.project_codes(self.codebook))
+        for block in self.refine:
+            tokens = block(tokens, tokens)
+        return tokens
 
     def forward(self, features: Float[Tensor, "coordinates width"]) -> Float[Tensor, "coordinates width"]:
-        """Codebook-enhanced features of (distinct) coordinates.
-
-        They attend to the prototypes: the queries after attention to the codebook, then to each other.
-        """
-        prototypes = self.to_codebook(self.query_embeddings, self.project_codes(self.codebook))
-        for block in self.refine:
-            prototypes = block(prototypes, prototypes)
-        enhanced: Tensor = self.to_prototypes(features, prototypes)
+        """Codebook-enhanced features of (distinct) coordinates."""
+        enhanced: Tensor = self.to_prototypes(features, self.prototypes())
         return enhanced
 
 

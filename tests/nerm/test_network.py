@@ -6,8 +6,8 @@ import torch
 from motionkit.training.config import apply_overrides
 from motionkit.training.networks import Conditions, ConditionSizes
 from nerm.latents import ALWAYS, in_use
-from nerm.network import Denoiser, FieldNetwork, Linear, attention
-from nerm.recipes import RECIPES, FieldConfig, TransformerConfig
+from nerm.network import CodebookCoordinateAttention, Denoiser, FieldNetwork, Linear, attention
+from nerm.recipes import RECIPES, EncoderConfig, FieldConfig, TransformerConfig
 from tests.nerm.small_fields import changed
 
 TINY = changed(
@@ -160,3 +160,19 @@ def test_a_product_without_gradients_is_that_with_them(shape: tuple[int, ...]) -
     torch.testing.assert_close(found, linear(x).detach())
     (gradient,) = torch.autograd.grad(linear(x).sum(), linear.bias)
     torch.testing.assert_close(gradient, torch.full((5,), x.numel() / 8))
+
+
+def test_prototypes_follow_their_weights() -> None:
+    attention = CodebookCoordinateAttention(torch.randn(5, 3), EncoderConfig(num_frequencies=4, num_queries=3))
+    names = set(attention.state_dict())
+    with torch.no_grad():
+        first = attention.prototypes()
+        assert attention.prototypes() is first and set(attention.state_dict()) == names
+        attention.query_embeddings += 1.0
+        changed = attention.prototypes()
+        attention.load_state_dict({name: 2.0 * tensor for name, tensor in attention.state_dict().items()})
+        loaded = attention.prototypes()
+    assert not torch.allclose(first, changed) and not torch.allclose(changed, loaded)
+    torch.testing.assert_close(loaded, attention.prototypes().detach())
+    attention.prototypes().sum().backward()
+    assert attention.query_embeddings.grad is not None
