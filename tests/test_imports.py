@@ -18,9 +18,9 @@ from tests.helpers.repository import REPOSITORY
 OWN = {"motionkit", "nerm", "pahires", "peers", "eval", "benchmarks", "tests"}
 # Imported where the user has them, with a message that names the extra or the package; jaxtyping where it is loaded.
 OPTIONAL = {
-    *("huggingface_hub", "imageio_ffmpeg", "jaxtyping", "motionmcp", "ray", "rerun", "tokenizers", "transformers")
+    *("huggingface_hub", "imageio_ffmpeg", "jaxtyping", "motionmcp", "ray", "rerun", "tokenizers", "torchmetrics"),
+    *("transformers", "uvicorn"),
 }
-OPTIONAL |= {"uvicorn"}
 
 
 def imported(folder: str) -> set[str]:
