@@ -74,7 +74,7 @@ def demo(
             (places["corpus"] / f"{motion.sequence_id}.bvh").unlink(missing_ok=True)
         write_demo_corpus(places["corpus"], size["every"])
     with step("ingest"):
-        ingest([str(places["corpus"])], store=places["store"], overwrite=True)
+        ingest([places["corpus"]], store=places["store"], overwrite=True)
     with step("measure this machine"):
         minutes = _training_seconds(stages, places["store"], size["overrides"], seed) / 60
     stderr.print(f"demo: training will take about {minutes:.1f} min on this machine, all after it a small part of that")

@@ -49,7 +49,7 @@ def read(
     of several motions of which none is chosen.
 
     >>> mk.read("walk.bvh")
-    Motion('captures/walk', 240 frames at 60 fps = 4.00 s, smpl (22 joints), rotations, 1 captions)
+    Motion('captures/walk', 240 frames at 60 fps = 4.00 s, smpl (22 joints), rotations, 1 caption)
     >>> mk.read("takes", sequence="jump").fps
     Fraction(30, 1)
     """

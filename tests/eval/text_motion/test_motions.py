@@ -76,5 +76,5 @@ def test_published_lengths_are_those_of_the_loaders_at_either_framerate() -> Non
 
 
 def test_too_few_motions_are_reported(store: Store) -> None:
-    with pytest.raises(NoRealMotionError, match=r"1 captioned sequences at 20 fps, .*1 shorter than 1 s"):
+    with pytest.raises(NoRealMotionError, match=r"1 captioned sequence at 20 fps, .*1 shorter than 1 s"):
         captioned_motions(store, "test", "sequence_id IN ('plain', 'short', 'mute')", Fraction(20), CROPPED)
