@@ -87,11 +87,10 @@ def corpus_of(
             latents = encode_varied(field, varied, frames, on_progress)
             # A field that learnt from few motions cannot hold their mirror images.
             held = (latents.abs() <= farthest).all(dim=1)
-            windows, captioned = (
-                [*windows, varied.select(held.numpy())],
-                [*captioned, at_own_tempo.select(held.numpy())],
-            )
-            means, log_variances = [*means, latents[held]], [*log_variances, field.posterior_log_variance[held]]
+            windows.append(varied.select(held.numpy()))
+            captioned.append(at_own_tempo.select(held.numpy()))
+            means.append(latents[held])
+            log_variances.append(field.posterior_log_variance[held])
     sequences = store.columns("captions", "action")
     captions = [of for each in captioned for of in captions_of_windows(each, sequences)]
     if encoder is None:
