@@ -71,7 +71,7 @@ def corpus(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Files that two workers read while the command writes what they have read."""
     folder = tmp_path_factory.mktemp("corpus")
     for number in range(NUM_TAKES):
-        (folder / f"take-{number:02}.bvh").write_text(bvh_text(1000))
+        (folder / f"take-{number:02}.bvh").write_text(bvh_text(1000 + number))
     return folder
 
 
