@@ -96,8 +96,11 @@ def corpus_of(
     if encoder is None:
         captions = [()] * len(captions)
     actions = [action for each in captioned for action in actions_of_windows(each, sequences)]
-    labels = [texts[0] if texts else action for texts, action in zip(captions, actions, strict=True)]
-    counts = Counter(labels)
+    weights = None
+    if config.balanced:
+        labels = [texts[0] if texts else action for texts, action in zip(captions, actions, strict=True)]
+        counts = Counter(labels)
+        weights = torch.tensor([1.0 / counts[label] for label in labels])
     captions = with_paraphrases(captions, config.conditions.paraphrases, np.random.default_rng(seed))
 
     def embed(texts: list[str]) -> Float32[Tensor, "texts dimension"]:
@@ -110,7 +113,6 @@ def corpus_of(
     seconds = np.concatenate([each.duration_seconds for each in windows])
     duration = torch.from_numpy(seconds / field.max_duration_seconds).to(torch.float32)
     conditions = window_conditions(captions, actions, duration, embed)
-    weights = torch.tensor([1.0 / counts[label] for label in labels]) if config.balanced else None
     return LatentCorpus(torch.cat(means), torch.cat(log_variances), conditions, field.network.local, weights)
 
 

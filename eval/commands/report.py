@@ -78,7 +78,7 @@ def report(
         page = out or folder / "report.html"
         write_whole(page, to_html(found, cards=cards, figures=figures))
         print(page)
-        stderr.print(f"{counted(len(found), 'result')}")
+        stderr.print(counted(len(found), "result"))
     elif format == "png":
         from eval.report.curves import figure_of, save
 

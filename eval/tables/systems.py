@@ -246,7 +246,7 @@ def make_column(fps: Fraction, real: RealMotion, train: RealMotion, fields: Mode
     if column.train is None or train is real:
         return Column(fps, reference, rows, column.train)
     generated = [each for row, each in rows.items() if row not in REFERENCES]
-    fewest = min((reference, *generated)[bool(generated) :], key=lambda each: each.num_takes)
+    fewest = min(generated or [reference], key=lambda each: each.num_takes)
     sizes = {TRAINING: min(fewest.num_takes, column.train.num_sequences)}
     rows[TRAINING] = column.train
     if generated:

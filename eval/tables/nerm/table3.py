@@ -66,7 +66,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
         config.missing.add(*(f"real ({config.split}): {line}" for line in compared.left_out))
         number, counts = compared.samples.num_sequences, np.bincount(compared.labels)
         row = RowId(f"{REAL} ({config.split})")
-        real = System(row, (compared.recognised(recogniser),), f"{counted(number, 'motion')}")
+        real = System(row, (compared.recognised(recogniser),), counted(number, "motion"))
         references = {"test": real.draws[0].features}
         if config.split not in ("train", "all") and has_training(store):
             with config.missing.skipping("FID (train)", (NoActionsError,)):

@@ -146,3 +146,17 @@ def test_fewer_motions_are_reported_with_what_as_many_real_ones_score() -> None:
     drawn = [fid(REAL, REAL[np.random.default_rng(i).choice(300, 50, replace=False)]) for i in range(200)]
     assert abs(mean - np.mean(drawn)) < 3 * np.std(drawn) / np.sqrt(10)
     assert size_remark(REAL[:50], few, seed=3) == size_remark(REAL, REAL + 0.5, seed=0) == ""
+
+
+def test_sequences_are_cut_from_a_random_frame() -> None:
+    whole = [np.arange(length * 66, dtype=np.float32).reshape(length, 22, 3) for length in (90, 30, 50)]
+    samples = sample_set("takes", Fraction(20), whole, ("a", "b", "c"))
+    starts = set()
+    for seed in range(20):
+        cut = samples.cut(np.array([40, 40, 50]), np.random.default_rng(seed))
+        assert cut.sequences.num_frames.tolist() == [40, 30, 50] and cut.sequence_ids == samples.sequence_ids
+        for cropped, own in zip(cut.sequences, whole, strict=True):
+            first = int(cropped[0, 0, 0]) // 66
+            np.testing.assert_array_equal(cropped, own[first : first + len(cropped)])
+        starts.add(int(cut.sequences[0][0, 0, 0]) // 66)
+    assert len(starts) > 5 and max(starts) <= 50
