@@ -34,6 +34,7 @@ from motionkit.training.config import (
     unknown_setting,
 )
 from motionkit.training.run import (
+    Began,
     OnMetrics,
     RunFolder,
     Stage,
@@ -237,7 +238,7 @@ def train_all(
 
         ranks.on_first(prepare)
         for number, job in enumerate(jobs, start=1):
-            own = replace(context, budget_seconds=job.budget_seconds, shared=job.stage.shared)
+            own = replace(context, budget_seconds=job.budget_seconds, shared=job.stage.shared, began=Began())
             if job.config is not None:
                 # Check again, since a stage that it builds on may just have been trained.
                 ranks.on_first(partial(check_kept, job, jobs, own, fingerprint))

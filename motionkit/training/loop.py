@@ -27,7 +27,7 @@ from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import sync, whole_file, write_json
 from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.training.networks import ALONE, Ranks, resolve_device
-from motionkit.training.run import RunError, StageContext, StageFolder, check_recorded, clear_stage
+from motionkit.training.run import Began, RunError, StageContext, StageFolder, check_recorded, clear_stage
 
 # Measured steps are spread evenly over the training, since early ones may cost less; rounds are repeated until this
 # share of the budget is spent.
@@ -69,7 +69,7 @@ def run_training(context: StageContext, training: Trainable, folder: StageFolder
     if context.budget_seconds is not None:
         if context.ranks.size > 1:
             raise UsageError("--budget is for one process: a rank does not know what the others have spent")
-        clock = seconds_spent(resolve_device(context.device))
+        clock = seconds_spent(resolve_device(context.device), context.began)
         plan_steps(training, folder, context.budget_seconds, context.seed, clock)
     return train_loop(training, folder, seed=context.seed, ranks=context.ranks, on_progress=context.on_progress)
 
@@ -199,7 +199,8 @@ def plan_steps(
     """Set a training's number of steps to what fits into its budget, and write it to budget.json.
 
     An existing budget.json is reused, so a resumed training has the same number of steps; summary.json has it too.
-    The training's state is restored. Raises `UsageError` if fewer than `FEWEST_STEPS` fit, and `DamagedFileError`.
+    The training's state is restored. `clock` counts from the stage's start, so what preceded the loop is subtracted.
+    Raises `UsageError` if fewer than `FEWEST_STEPS` fit, and `DamagedFileError`.
     """
     if folder.budget_path.is_file():
         trainable.steps = folder.read_budget()["steps"]
@@ -216,7 +217,7 @@ def plan_steps(
     ended = clock()
     trainable.load_state_tensors(state)
     seconds_a_step = (ended - warm) / count
-    steps = int((budget_seconds - (ended - started)) / max(seconds_a_step, 1e-9))
+    steps = int((budget_seconds - ended) / max(seconds_a_step, 1e-9))
     if steps < FEWEST_STEPS:
         clear_stage(folder)
         folder.config_path.unlink()  # so that the stage counts as not begun
@@ -227,6 +228,7 @@ def plan_steps(
     plan = {
         "budget_seconds": budget_seconds,
         "steps": steps,
+        "preparing_seconds": round(started, 3),
         "measured_seconds_a_step": round(seconds_a_step, 6),
         "measuring_seconds": round(ended - started, 3),
     }
@@ -234,14 +236,14 @@ def plan_steps(
     trainable.steps = steps
 
 
-def seconds_spent(device: torch.device) -> Callable[[], float]:
-    """The clock of a budget: this process' CPU time; wall time for a GPU."""
+def seconds_spent(device: torch.device, began: Began) -> Callable[[], float]:
+    """The clock of a budget: this process' CPU time since `began`; wall time for a GPU."""
     if device.type != "cuda":
-        return time.process_time
+        return lambda: time.process_time() - began.cpu_seconds
 
     def passed() -> float:
         torch.cuda.synchronize(device)
-        return time.perf_counter()
+        return time.perf_counter() - began.wall_seconds
 
     return passed
 

@@ -11,6 +11,7 @@ import json
 import platform
 import re
 import subprocess
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
@@ -364,11 +365,19 @@ def commit(code: Path = Path(__file__)) -> str | None:
 
 
 @dataclass(frozen=True)
+class Began:
+    """When a stage began: this process' CPU time and the wall clock, in seconds."""
+
+    cpu_seconds: float = field(default_factory=time.process_time)
+    wall_seconds: float = field(default_factory=time.perf_counter)
+
+
+@dataclass(frozen=True)
 class StageContext:
     """The context of a stage's training: store, run, seed, device.
 
     `device` is "auto" or a torch device's name; `shared`: whether all ranks of torchrun train this stage;
-    `budget_seconds` is the processor time for its steps, which replaces their number (None: no budget). `on_progress`
+    `budget_seconds` is its processor time since it `began`, which sets the number of steps (None: no budget). `on_progress`
     is called during training and while caches are built, `on_metrics` with each stage's logged metrics.
     """
 
@@ -381,6 +390,7 @@ class StageContext:
     device: str = "auto"
     shared: bool = False
     budget_seconds: float | None = None
+    began: Began = field(default_factory=Began, compare=False, repr=False)
     on_progress: OnProgress = field(default=ignore, compare=False, repr=False)
     on_metrics: OnMetrics = field(default=lambda stage, values: None, compare=False, repr=False)
 

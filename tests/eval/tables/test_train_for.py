@@ -20,10 +20,11 @@ from motionkit.store import Store, StoreWriter
 from motionkit.store.commit import read_manifest
 from motionkit.training import loop as loop_module
 from motionkit.training.loop import load_tensors, run_training, save_tensors
-from motionkit.training.run import Loader, Stage, StageContext, StageFolder
+from motionkit.training.run import Began, Loader, Stage, StageContext, StageFolder
 from tests.helpers.plugin_lists import install_only
 
 SECONDS_A_STEP = 2.0
+PREPARING_SECONDS = 30.0
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,6 @@ class Clock:
     """Processor time that passes in steps alone."""
 
     now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
 
 
 def loader(*stages: str) -> Loader[object]:
@@ -93,6 +91,11 @@ class World:
         recipes = {"nano": Config} if name != "gan" else {"nano": Config, "big": Config}
         return Stage(name, f"trains {name}", recipes, train, builds_on=builds_on, share=share)
 
+    def clock_since(self, _device: torch.device, _began: Began) -> Callable[[], float]:
+        """Processor time since a stage began, which prepares itself for `PREPARING_SECONDS`."""
+        start = self.clock.now - PREPARING_SECONDS
+        return lambda: self.clock.now - start
+
     def stages(self) -> dict[str, Stage[Config]]:
         def nothing(config: Config) -> tuple[str, ...]:
             return ()
@@ -120,7 +123,7 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
     world = World()
     install_only(monkeypatch, STAGES=world.stages())
     monkeypatch.setattr(train_for, "table_that_shows", lambda paper, target: TABLE)
-    monkeypatch.setattr(loop_module, "seconds_spent", lambda device: world.clock)
+    monkeypatch.setattr(loop_module, "seconds_spent", world.clock_since)
     with StoreWriter.create(tmp_path / "store"):
         pass
     monkeypatch.chdir(tmp_path)
@@ -190,7 +193,8 @@ def test_every_system_has_the_same_budget(world: World) -> None:
             assert summary["steps"] == 6
             continue
         assert summary["measured_seconds_a_step"] == SECONDS_A_STEP
-        assert summary["measuring_seconds"] + summary["steps"] * SECONDS_A_STEP == pytest.approx(budget, abs=2)
+        spent = summary["preparing_seconds"] + summary["measuring_seconds"] + summary["steps"] * SECONDS_A_STEP
+        assert summary["preparing_seconds"] == PREPARING_SECONDS and spent == pytest.approx(budget, abs=2)
     # What was measured leaves no trace: the same number of steps by its setting is the same training.
     run("--run", "told", "--set", f"steps={int(found['gan']['steps'])}")
     told, measured = (load_tensors(Path("runs") / each / "gan" / "model.safetensors")[0] for each in ("told", "nano"))
