@@ -377,8 +377,8 @@ class StageContext:
     """The context of a stage's training: store, run, seed, device.
 
     `device` is "auto" or a torch device's name; `shared`: whether all ranks of torchrun train this stage;
-    `budget_seconds` is its processor time since it `began`, which sets the number of steps (None: no budget). `on_progress`
-    is called during training and while caches are built, `on_metrics` with each stage's logged metrics.
+    `budget_seconds` is its processor time since it `began`, which sets the number of steps (None: no budget).
+    `on_progress` is called during training and while caches are built, `on_metrics` with each stage's logged metrics.
     """
 
     store: Path
