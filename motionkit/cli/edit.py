@@ -4,6 +4,7 @@ A motion that cannot be read or edited does not stop the others.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -37,7 +38,7 @@ from motionkit.core.files import default_path
 from motionkit.core.progress import tracked
 
 if TYPE_CHECKING:
-    from motionkit.edit.motions import MotionSource, WrittenMotion
+    from motionkit.edit.motions import EditedMotion, LoadedMotion, MotionSource, OutputPaths
 
 TRAINED = ", ".join(plugins.names("ENCODERS"))
 
@@ -81,7 +82,7 @@ def complete(
 
     Example: motionkit complete takes/walk.bvh --fps 120 --model cubic
     """
-    from motionkit.edit.complete import CompletionRequest, complete_file, parse_extend, parse_keep
+    from motionkit.edit.complete import CompletionRequest, completed_motion, parse_extend, parse_keep
     from motionkit.edit.encoders import choose_encoder
     from motionkit.edit.motions import OutputPaths, find_motions
     from motionkit.io.scan import COMPLETED
@@ -93,8 +94,8 @@ def complete(
     paths = OutputPaths(COMPLETED, clips, len(sources), out=out, file_format=file_format, overwrite=overwrite)
     chosen = choose_encoder(model, run, runs or default_path("runs"))
     stderr.print(f"motionkit: completing with {chosen.explanation}")
-    edit = partial(complete_file, request=request, chosen=chosen, paths=paths)
-    _edit_each("complete", sources, problems, edit, as_json, {"encoder": chosen.name})
+    edit = partial(completed_motion, request=request, chosen=chosen)
+    _edit_each("complete", sources, problems, edit, paths, as_json, {"encoder": chosen.name}, request.fps)
 
 
 def plant(
@@ -122,7 +123,7 @@ def plant(
     Example: motionkit plant takes/walk.bvh
     """
     from motionkit.edit.motions import OutputPaths, find_motions
-    from motionkit.edit.plant import plant_file
+    from motionkit.edit.plant import planted_motion
     from motionkit.io.scan import PLANTED
 
     if not clips and (out is None or (store is None and where is None)):
@@ -131,7 +132,7 @@ def plant(
     where = where if clips else where or "true"
     sources, problems = find_motions(clips or (), options, store or default_path("store"), where)
     paths = OutputPaths(PLANTED, clips or (), len(sources), out=out, file_format=file_format, overwrite=overwrite)
-    _edit_each("plant", sources, problems, partial(plant_file, path_of_body=path, paths=paths), as_json, {"path": path})
+    _edit_each("plant", sources, problems, partial(planted_motion, path=path), paths, as_json, {"path": path})
 
 
 def convert(
@@ -157,49 +158,65 @@ def convert(
 
     Example: motionkit convert walk.bvh walk.glb --fps 60 --onto hero.glb
     """
-    from motionkit.edit.convert import convert_file
+    from motionkit.edit.convert import converted_motion
     from motionkit.edit.motions import OutputPaths, find_motions
     from motionkit.io.character import read_character
 
     rate = parse_rate(fps)
     options = read_options(parse_rate(source_fps, "--source-fps"), skeleton_map, up=up)
     sources, problems = find_motions([source], options, store or default_path("store"))
-    paths = OutputPaths("converted", [source], len(sources), out=out, file_format=file_format, overwrite=overwrite)
     character = None if onto is None else read_character(onto, read_options(None, skeleton_map))
-    edit = partial(convert_file, fps=rate, character=character, paths=paths)
-    _edit_each("convert", sources, problems, edit, as_json, {"onto": None if onto is None else str(onto)})
+    paths = OutputPaths(
+        *("converted", [source], len(sources)),
+        out=out,
+        file_format=file_format,
+        overwrite=overwrite,
+        usual_suffix=None if character is None else character.suffix,
+    )
+    edit, about = (
+        partial(converted_motion, fps=rate, character=character),
+        {"onto": None if onto is None else str(onto)},
+    )
+    _edit_each("convert", sources, problems, edit, paths, as_json, about, rate)
 
 
 def _edit_each(
     verb: str,
     sources: "Sequence[MotionSource]",
     problems: Sequence[FormatError],
-    edit: "Callable[[MotionSource], WrittenMotion]",
+    edit: "Callable[[LoadedMotion], EditedMotion]",
+    paths: "OutputPaths",
     as_json: bool,
     about: Mapping[str, Any],
+    fps: Fraction | None = None,
 ) -> None:
     """Write a file for every motion, and print its path, or JSON that begins with `about`.
 
-    Exits with 1 if a motion cannot be read or edited; messages and remarks go to stderr.
+    Exits with 1 if a motion cannot be read or edited; messages, warnings and remarks go to stderr.
     """
+    from motionkit.edit.motions import edit_file
+
     failures = [(str(problem.path), of_source(str(problem), problem)) for problem in problems]
     print_failures(failures)
-    done: list[WrittenMotion] = []
+    done: list[dict[str, Any]] = []
     with progress() as show:
         for source in tracked(show, verb, sources, len(sources)):
             try:
-                written = edit(source)
+                path, edited = edit_file(source, edit, paths, fps)
             except (MotionkitError, OSError) as error:
                 failures.append((source.name, of_source(describe(error), error)))
                 print_failures(failures[-1:])
                 continue
-            done.append(written)
-            for remark in written.remarks:
-                stderr.print(f"motionkit: {remark}")
+            clip = {"clip": source.name, "file": str(path)}
+            done.append({**clip, **edited.details, "warnings": list(edited.warnings)})
+            for warning in edited.warnings:
+                stderr.print(f"motionkit: warning: {source.name}: {warning}")
+            if edited.remark:
+                stderr.print(f"motionkit: {source.name}: {edited.remark}")
             if not as_json:
-                stdout.print(str(written.path))
+                stdout.print(str(path))
     if as_json:
         failed = [{"clip": name, "message": message} for name, message in failures]
-        print_json({**about, "clips": [each.plain() for each in done], "failed": failed})
+        print_json({**about, "clips": done, "failed": failed})
     if failures:
         raise typer.Exit(1)

@@ -4,26 +4,19 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from motionkit.core.errors import MotionkitError, UsageError
-from motionkit.core.files import default_path, whole_file
+from motionkit.core.files import default_path
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Bool
 from motionkit.core.timegrid import Framerate, parse_fps
 from motionkit.edit.encoders import ChosenEncoder, choose_encoder
-from motionkit.edit.motions import (
-    EditedMotion,
-    LoadedMotion,
-    MotionSource,
-    OutputPaths,
-    WrittenMotion,
-    load_motion,
-    write_edited,
-)
+from motionkit.edit.motions import EditedMotion, LoadedMotion, load_motion, write_as_loaded
 from motionkit.fields.anchoring import anchored
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.resample import begin_completion
@@ -85,7 +78,7 @@ def complete(
     completed = completed_motion(loaded, request, chosen)
     for warning in completed.warnings:
         warn(warning)
-    return completed.edited.motion
+    return completed.motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,17 +108,7 @@ class CompletionRequest:
             )
 
 
-@dataclass(frozen=True, eq=False)
-class CompletedMotion:
-    """A completed motion, the encoder that completed it, warnings, the longest time between two frames to keep."""
-
-    edited: EditedMotion
-    encoder: str
-    warnings: tuple[str, ...]
-    longest_gap_seconds: float
-
-
-def completed_motion(loaded: LoadedMotion, request: CompletionRequest, chosen: ChosenEncoder) -> CompletedMotion:
+def completed_motion(loaded: LoadedMotion, request: CompletionRequest, chosen: ChosenEncoder) -> EditedMotion:
     """The motion, completed by an encoder.
 
     Raises `MotionkitError` for a lower framerate, frames that it does not have, and where the encoder fails.
@@ -147,18 +130,28 @@ def completed_motion(loaded: LoadedMotion, request: CompletionRequest, chosen: C
         field = anchored(planted(field), observation)
     if observation.poses.local_rotations is not None:
         field = on_bones(field, observation)
-    completed = replace(completion, field=field).motion()
+    completed, num_given = replace(completion, field=field).motion(), len(completion.given_rows)
     line = (
         f"complete {motion.num_frames} frames at {motion.fps} fps -> {completed.num_frames} at {completed.fps}, "
-        f"{completed.num_frames - len(completion.given_rows)} made"
+        f"{completed.num_frames - num_given} made"
     )
+    completed = completed.annotated_like(motion).logged(line)
     frames = KnownFrames(known, observation.times_seconds, completion.given_rows, known[completion.given_poses])
-    edited = EditedMotion(completed.annotated_like(motion).logged(line), frames)
     gap = float(np.diff(loaded.seconds[observed]).max(initial=0.0))
     warnings = [replaced] if replaced else _warnings(chosen, gap, max(before, after), len(known))
     if not loaded.valid.all():
         warnings.append(f"{int((~loaded.valid).sum()):,} frames hold nan and were filled like gaps")
-    return CompletedMotion(edited, encoder.name if replaced else chosen.name, tuple(warnings), gap)
+    details = {
+        "encoder": encoder.name if replaced else chosen.name,
+        "fps": str(motion.fps),
+        "completed_fps": str(completed.fps),
+        "num_frames": motion.num_frames,
+        "num_completed_frames": completed.num_frames,
+        "num_given_frames": num_given,
+        "num_made_frames": completed.num_frames - num_given,
+        "longest_gap_seconds": gap,
+    }
+    return EditedMotion(completed, partial(write_as_loaded, loaded, completed, frames), details, warnings)
 
 
 def observed_frames(loaded: LoadedMotion, request: CompletionRequest) -> Frames:
@@ -199,31 +192,6 @@ def _warnings(chosen: ChosenEncoder, gap: float, reach: float, num_known: int) -
     if num_known == 1:
         warnings.append("one frame is known, so the body stands still in it")
     return warnings
-
-
-def complete_file(
-    source: MotionSource, request: CompletionRequest, chosen: ChosenEncoder, paths: OutputPaths
-) -> WrittenMotion:
-    """Read, complete and write one motion; raises `MotionkitError` or `OSError` without leaving files behind."""
-    loaded = source.load()
-    path = paths.path(source, loaded, request.fps or loaded.motion.fps)
-    completed = completed_motion(loaded, request, chosen)
-    motion, num_given = completed.edited.motion, len(completed.edited.known.kept_rows)
-    with whole_file(path) as temporary:
-        write_edited(completed.edited, loaded, temporary)
-    warnings = [*completed.warnings, *filter(None, [loaded.note])]
-    details = {
-        "encoder": completed.encoder,
-        "fps": str(loaded.motion.fps),
-        "completed_fps": str(motion.fps),
-        "num_frames": loaded.motion.num_frames,
-        "num_completed_frames": motion.num_frames,
-        "num_given_frames": num_given,
-        "num_made_frames": motion.num_frames - num_given,
-        "longest_gap_seconds": completed.longest_gap_seconds,
-        "warnings": warnings,
-    }
-    return WrittenMotion(source.name, path, details, [f"warning: {source.name}: {each}" for each in warnings])
 
 
 def kept_frames(keep: Sequence[FrameRange] | Frames | None, num_frames: int) -> Frames:

@@ -1,30 +1,21 @@
 """Converting a motion: another format, framerate or rig (docs/howto/convert.md)."""
 
-from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from motionkit.core.errors import UsageError
-from motionkit.core.files import whole_file
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import Framerate, parse_fps
-from motionkit.edit.motions import (
-    EditedMotion,
-    LoadedMotion,
-    MotionSource,
-    OutputPaths,
-    WrittenMotion,
-    load_motion,
-    write_edited,
-)
+from motionkit.edit.motions import EditedMotion, LoadedMotion, load_motion, write_as_loaded
 from motionkit.fields.resample import resample
 from motionkit.io.body_frame import GIVEN_AXES, log_lines, turned
 from motionkit.io.bvh import KnownFrames
 from motionkit.io.character import Character, read_character
 from motionkit.io.files import read_options
-from motionkit.io.registry import ReadOptions
+from motionkit.io.registry import ReadOptions, writer_of
 
 
 def convert(
@@ -58,38 +49,23 @@ def convert(
     else:
         loaded = load_motion(motion, read_options(up=up))
     character = None if rig is None else read_character(Path(rig), ReadOptions())
-    return converted_motion(loaded, None if fps is None else parse_fps(fps), character)
+    return converted_motion(loaded, None if fps is None else parse_fps(fps), character).motion
 
 
-def converted_motion(loaded: LoadedMotion, fps: Fraction | None, character: Character | None) -> Motion:
-    """The motion at a framerate, on a character's rig; None keeps its own. Raises `MotionkitError`."""
+def converted_motion(loaded: LoadedMotion, fps: Fraction | None, character: Character | None) -> EditedMotion:
+    """The motion at a framerate, on a character's rig; None keeps its own. Raises `MotionkitError`.
+
+    A BVH file that stays one keeps its hierarchy and channels; a motion on a rig is written into a file like the
+    character's own.
+    """
     loaded.check_complete()
     motion = loaded.motion if fps is None else resample(loaded.motion, fps)
-    return motion if character is None else character.perform(motion)
-
-
-def convert_file(
-    source: MotionSource, fps: Fraction | None, character: Character | None, paths: OutputPaths
-) -> WrittenMotion:
-    """Read, convert and write one motion; on a character's rig into a file like the character's own.
-
-    A BVH file that stays one keeps its hierarchy and channels. Raises `MotionkitError` or `OSError` without leaving
-    files behind.
-    """
-    loaded = source.load()
-    if character is not None:
-        loaded = replace(loaded, suffix=character.suffix, document=None, is_pose_vectors=False)
-    path = paths.path(source, loaded, fps or loaded.motion.fps)
-    motion = converted_motion(loaded, fps, character)
-    if motion.local_rotations is None:
-        loaded = replace(loaded, document=None)
     kept = np.arange(motion.num_frames if motion is loaded.motion else 0)
     known = KnownFrames(np.arange(len(loaded.seconds)), loaded.seconds, kept, kept)
-    with whole_file(path) as temporary:
-        if character is not None and path.suffix.lower() == character.suffix:
-            character.write(motion, temporary)
-        else:
-            write_edited(EditedMotion(motion, known), loaded, temporary)
+    write = partial(write_as_loaded, loaded, motion, known)
+    if character is not None:
+        motion = character.perform(motion)
+        write = partial(_write_on_rig, character, motion)
     details = {
         "fps": str(loaded.motion.fps),
         "converted_fps": str(motion.fps),
@@ -97,4 +73,10 @@ def convert_file(
         "num_converted_frames": motion.num_frames,
         "num_joints": motion.skeleton.num_joints,
     }
-    return WrittenMotion(source.name, path, details)
+    return EditedMotion(motion, write, details)
+
+
+def _write_on_rig(character: Character, motion: Motion, path: Path) -> None:
+    suffix = path.suffix.lower()
+    write = character.write if suffix == character.suffix else writer_of(suffix)
+    write(motion, path)

@@ -1,7 +1,7 @@
 """Motions of files, folders, ids and stores, to be edited or looked at; and edited motions written to files."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache, cached_property, partial
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from motionkit.core.errors import FormatError, MotionkitError, StoreError, UsageError
-from motionkit.core.files import is_store, require_new, write_json
+from motionkit.core.files import is_store, require_new, whole_file, write_json
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
 from motionkit.core.skeleton import STANDARD_SKELETONS
@@ -198,39 +198,50 @@ def _file_name(sequence_id: str) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class EditedMotion:
-    """A motion made of a loaded one, and which of its frames are those of the loaded one, unchanged."""
+    """A motion made of a loaded one, how it is written to a file, and what to tell.
+
+    `details` are facts as JSON; `warnings` and the `remark` are lines.
+    """
 
     motion: Motion
-    known: KnownFrames
+    write: Callable[[Path], None]
+    details: Mapping[str, Any]
+    warnings: Sequence[str] = ()
+    remark: str = ""
 
 
-@dataclass(frozen=True)
-class WrittenMotion:
-    """A file that was written, and what to tell: `details` as JSON, `remarks` as lines."""
+def edit_file(
+    source: MotionSource,
+    edit: Callable[[LoadedMotion], EditedMotion],
+    paths: "OutputPaths",
+    fps: Fraction | None = None,
+) -> tuple[Path, EditedMotion]:
+    """Read, edit and write one motion, whose framerate will be `fps` (None: its own).
 
-    source: str
-    path: Path
-    details: Mapping[str, Any] = field(default_factory=dict)
-    remarks: Sequence[str] = ()
+    Raises `MotionkitError` or `OSError` without leaving files behind.
+    """
+    loaded = source.load()
+    path = paths.path(source, loaded, fps or loaded.motion.fps)
+    edited = edit(loaded)
+    with whole_file(path) as temporary:
+        edited.write(temporary)
+    note = [loaded.note] if loaded.note and paths.suffix is None else []
+    return path, replace(edited, warnings=[*edited.warnings, *note])
 
-    def plain(self) -> dict[str, Any]:
-        """As JSON."""
-        return {"clip": self.source, "file": str(self.path), **self.details}
 
-
-def write_edited(edited: EditedMotion, loaded: LoadedMotion, path: Path) -> None:
+def write_as_loaded(loaded: LoadedMotion, motion: Motion, known: KnownFrames, path: Path) -> None:
     """Write an edited motion in the format of the path's suffix; BVH files and pose vectors as they came.
 
-    In a BVH file with a document, given frames keep their lines, and others have its channels. Raises what the writer
+    In a BVH file with a document, `known` frames keep their lines, and others have its channels. Raises what the writer
     raises.
     """
-    document = loaded.document
-    if document is not None and path.suffix.lower() == ".bvh":
-        rewrite_bvh(document, path, edited.motion, edited.known)
-    elif loaded.is_pose_vectors and path.suffix.lower() == ".npy":
-        _write_pose_vectors(edited.motion, path)
+    suffix = path.suffix.lower()
+    if loaded.document is not None and motion.local_rotations is not None and suffix == ".bvh":
+        rewrite_bvh(loaded.document, path, motion, known)
+    elif loaded.is_pose_vectors and suffix == ".npy":
+        _write_pose_vectors(motion, path)
     else:
-        writer_of(path.suffix.lower())(edited.motion, path)
+        writer_of(suffix)(motion, path)
 
 
 def _write_pose_vectors(motion: Motion, path: Path) -> None:
@@ -257,6 +268,7 @@ class OutputPaths:
 
     `edit` says what was done (`completed`), `names` are those that the user gave. Raises `UsageError` for a suffix that
     no format writes, for a format that is not that of the file, and for one file where several motions are written.
+    `suffix` is None where results are written as their sources were.
     """
 
     def __init__(
@@ -268,27 +280,28 @@ class OutputPaths:
         out: Path | None = None,
         file_format: str | None = None,
         overwrite: bool = False,
+        usual_suffix: str | None = None,
     ) -> None:
         self._edit, self._out, self._overwrite = edit, out, overwrite
         self._folders = [Path(name) for name in names if Path(name).is_dir()]
-        self._suffix = None if file_format is None else f".{file_format}"
+        self.suffix = usual_suffix if file_format is None else f".{file_format}"
         self._is_file = out is not None and bool(out.suffix) and not out.is_dir()
         self._source_of: dict[Path, str] = {}
         if out is not None and self._is_file:
             if num_motions > 1 or self._folders or not names:
                 raise UsageError(f"{out} is one file: for several motions name a folder, without a suffix")
-            if self._suffix not in (None, out.suffix.lower()):
+            if file_format is not None and self.suffix != out.suffix.lower():
                 raise UsageError(f"--format {file_format} and --out {out} are two formats: give one of them")
-            self._suffix = out.suffix.lower()
-        if self._suffix is not None:
-            writer_of(self._suffix)
+            self.suffix = out.suffix.lower()
+        if self.suffix is not None:
+            writer_of(self.suffix)
 
     def path(self, source: MotionSource, loaded: LoadedMotion, fps: Fraction) -> Path:
         """The file of a result at a framerate.
 
         Raises `MotionkitError` for a file that exists, unless it may be overwritten, and for that of another source.
         """
-        stem, suffix = source.beside.name, self._suffix or loaded.suffix
+        stem, suffix = source.beside.name, self.suffix or loaded.suffix
         if self._out is not None and self._is_file:
             path = self._out
         elif self._out is not None:

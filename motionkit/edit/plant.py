@@ -1,23 +1,15 @@
 """Planting a motion: its feet stop sliding, and the change is measured (docs/plant.md)."""
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from motionkit.core.errors import counted
-from motionkit.core.files import whole_file
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
-from motionkit.edit.motions import (
-    EditedMotion,
-    LoadedMotion,
-    MotionSource,
-    OutputPaths,
-    WrittenMotion,
-    load_motion,
-    write_edited,
-)
+from motionkit.edit.motions import EditedMotion, LoadedMotion, load_motion, write_as_loaded
 from motionkit.fields.contact.detection import runs
 from motionkit.fields.contact.planted import Path as BodyPath
 from motionkit.fields.contact.planted import Planting, planted_frames
@@ -41,8 +33,7 @@ def plant(motion: Motion | str | Path, *, path: BodyPath = "near") -> Motion:
     >>> mk.plant(motion).num_frames
     240
     """
-    edited, _ = planted_motion(load_motion(motion), path)
-    return edited.motion
+    return planted_motion(load_motion(motion), path).motion
 
 
 @dataclass(frozen=True)
@@ -82,8 +73,8 @@ class Change:
         return described
 
 
-def planted_motion(loaded: LoadedMotion, path: BodyPath) -> tuple[EditedMotion, Change]:
-    """The motion with planted feet, and the change; frames that nothing moves are unchanged.
+def planted_motion(loaded: LoadedMotion, path: BodyPath) -> EditedMotion:
+    """The motion with planted feet; frames that nothing moves are unchanged.
 
     Raises `MotionkitError` for frames that hold nan or are uneven in time.
     """
@@ -99,24 +90,9 @@ def planted_motion(loaded: LoadedMotion, path: BodyPath) -> tuple[EditedMotion, 
         f"{1000 * change.largest_change:.1f} mm"
     )
     planted = poses.at(motion.timegrid, motion.skeleton).annotated_like(motion).logged(line)
-    return EditedMotion(planted, KnownFrames(np.arange(len(moved)), seconds, unmoved, unmoved)), change
-
-
-def plant_file(source: MotionSource, path_of_body: BodyPath, paths: OutputPaths) -> WrittenMotion:
-    """Read, plant and write one motion; raises `MotionkitError` or `OSError` without leaving files behind."""
-    loaded = source.load()
-    path = paths.path(source, loaded, loaded.motion.fps)
-    edited, change = planted_motion(loaded, path_of_body)
-    with whole_file(path) as temporary:
-        write_edited(edited, loaded, temporary)
-    details = {
-        "fps": str(loaded.motion.fps),
-        "num_frames": loaded.motion.num_frames,
-        **asdict(change),
-        "note": loaded.note,
-    }
-    remarks = [f"warning: {source.name}: {loaded.note}"] if loaded.note else []
-    return WrittenMotion(source.name, path, details, [*remarks, f"{source.name}: {change}"])
+    known = KnownFrames(np.arange(len(moved)), seconds, unmoved, unmoved)
+    details = {"fps": str(motion.fps), "num_frames": motion.num_frames, **asdict(change), "note": loaded.note}
+    return EditedMotion(planted, partial(write_as_loaded, loaded, planted, known), details, remark=str(change))
 
 
 def measure_change(

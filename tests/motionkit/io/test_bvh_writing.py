@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,9 @@ from scipy.spatial.transform import Rotation
 import motionkit as mk
 from motionkit.core import kinematics
 from motionkit.core.kinematics import euler_to_quaternion
-from motionkit.edit.complete import CompletionRequest, complete_file
+from motionkit.edit.complete import CompletionRequest, completed_motion
 from motionkit.edit.encoders import choose_encoder
-from motionkit.edit.motions import MotionSource, OutputPaths, find_motions
+from motionkit.edit.motions import MotionSource, OutputPaths, edit_file, find_motions
 from motionkit.fields.interpolation import INTERPOLATORS
 from motionkit.fields.motion_field import Observation
 from motionkit.fields.resample import begin_completion
@@ -229,7 +230,8 @@ def test_ingest_and_complete_see_one_motion_and_a_completed_one_is_read_again(tm
         assert getattr(stored, name) == getattr(motion, name)
     # Completed: given frames stay where they are, new ones lie between them.
     request, slerp = CompletionRequest(fps=2 * motion.fps), choose_encoder("slerp", None, tmp_path)
-    complete_file(source_of(path), request, slerp, OutputPaths("completed", [str(path)], 1, out=out))
+    complete = partial(completed_motion, request=request, chosen=slerp)
+    edit_file(source_of(path), complete, OutputPaths("completed", [str(path)], 1, out=out), request.fps)
     old, new = motion.joint_positions, source_of(out).load().motion.joint_positions
     assert len(new) == 2 * len(old) - 1
     np.testing.assert_allclose(new[::2], old, atol=1e-5)
