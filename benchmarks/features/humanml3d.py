@@ -21,7 +21,7 @@ from motionkit.features import humanml3d
 from motionkit.features.layout import SMPL22_LAYOUT
 
 WORK = (
-    "raw joints → pose vectors on one core, CPU time. ours: humanml3d_processing.process, then humanml3d.vectors. "
+    "raw joints → pose vectors on one core, CPU time. ours: humanml3d.process, then humanml3d.vectors. "
     "peer: the notebook's own process_file, unchanged and whole: uniform_skeleton (inverse and forward kinematics), "
     "floor, origin, facing, foot_detect, get_cont6d_params (inverse kinematics), get_rifke, local velocities."
 )

@@ -10,10 +10,9 @@ import numpy as np
 
 from eval.sets.sets import Missing
 from motionkit.core.errors import DamagedFileError, MotionkitError
-from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
+from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion, two_columns
 from motionkit.core.shapes import Float64
 from motionkit.edit.encoders import encoder_loader, installed_encoders
-from motionkit.features.rotations import two_columns
 from motionkit.fields.interpolation import INTERPOLATORS, CurveKind, curve
 from motionkit.fields.motion_field import (
     BatchEncoder,

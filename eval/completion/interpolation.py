@@ -14,6 +14,7 @@ from eval.completion.data_sets import TrueClips, Vectors, local_rotations
 from eval.completion.encoders import Completer, query_many
 from eval.completion.scores import Scores, add_clips
 from eval.metrics.motion import to_unit_range
+from motionkit.core.kinematics import two_columns
 from motionkit.core.moments import stream
 from motionkit.core.shapes import Bool, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
@@ -117,7 +118,7 @@ def measure_interpolation(
             ]
             positions = np.stack([poses.joint_positions for poses in predicted])
             turned = np.stack([poses.local_rotations for poses in predicted if poses.local_rotations is not None])
-            vectors = np.concatenate((positions[:, :, 0], rotations.two_columns(turned)), axis=-1)
+            vectors = np.concatenate((positions[:, :, 0], two_columns(turned)), axis=-1)
             both = (vectors, whole_vectors[:, frames])
             pair = [scale.unit_range(in_first_frame(rows, whole_vectors[:, 0])) for rows in both]
             label = scale_label(each)

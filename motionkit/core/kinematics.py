@@ -46,6 +46,16 @@ def quaternion_rotate(q: Float[np.ndarray, "*n 4"], v: Float[np.ndarray, "*m 3"]
     )
 
 
+def rotate_about_y(vectors: Float[np.ndarray, "*n 3"], angle: Float[np.ndarray, "*m"]) -> Float[np.ndarray, "*k 3"]:
+    """Rotate vectors about Y by angles in radians, which turn Z+ towards X+. Shapes broadcast."""
+    # Sines of float32 angles differ in their last digit between processors.
+    cosine, sine = (part(angle, dtype=np.float64).astype(vectors.dtype) for part in (np.cos, np.sin))
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    rotated = np.empty((*np.broadcast_shapes(x.shape, cosine.shape), 3), vectors.dtype)
+    rotated[..., 0], rotated[..., 1], rotated[..., 2] = cosine * x + sine * z, y, cosine * z - sine * x
+    return rotated
+
+
 def quaternion_to_matrix(q: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3 3"]:
     """Unit quaternions → rotation matrices."""
     w, x, y, z = np.moveaxis(q, -1, 0)
@@ -354,6 +364,12 @@ def _rotations_of(
     cube = np.einsum("ijn,kjn,kln->iln", b, b, b, optimize=True)
     matrix = ((half + 1.0) * b + root * cofactors - cube) / np.where(is_known, zeta, 1.0)
     return np.moveaxis(matrix, -1, 0), is_known
+
+
+def two_columns(quaternions: Float[np.ndarray, "*poses joints 4"]) -> Float[np.ndarray, "*poses numbers"]:
+    """The first two columns of each rotation matrix, joint after joint: (R₁₁, R₂₁, R₃₁, R₁₂, R₂₂, R₃₂)."""
+    columns = quaternion_to_matrix(quaternions)[..., :2].swapaxes(-1, -2)
+    return np.ascontiguousarray(columns).reshape(*quaternions.shape[:-2], 6 * quaternions.shape[-2])
 
 
 def closest_rotations(columns: Float[np.ndarray, "*poses numbers"]) -> Float64[np.ndarray, "*poses joints 3 3"]:

@@ -11,48 +11,46 @@ from functools import cache
 
 import numpy as np
 
-from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.core import kinematics
+from motionkit.core.shapes import Float, Float32
 from motionkit.features.layout import (
-    BoneTree,
-    PoseLayout,
-    bone_tree,
+    across,
+    bone_rotations,
     facing_direction,
+    half_angles_to_z,
+    layout_of_poses,
     pose_layout,
-    rotations_6d,
-    smooth,
-    to_z_half_angle,
+    pose_rows,
+    relative_to_root,
 )
-from motionkit.features.native import fill_joint_velocities, fill_positions, turn
 from motionkit.io.humanml3d import recover_positions
 
 CONVENTION = "humanml3d"
 SMOOTHING_FRAMES = 20.0
-# A block's arrays fit into a core's cache; rows of 2ⁿ bytes would compete for the same cache sets.
-_FRAMES_AT_ONCE = 200
 
 
 def vectors(joint_positions: Float[np.ndarray, "frames joints 3"], layout: str) -> Float32[np.ndarray, "rows numbers"]:
     """Pose vectors of processed joint positions, T − 1 rows for T poses.
 
     `joint_positions` in the file's unit and at its framerate, already on the floor, at the origin and facing Z+
-    (`humanml3d_processing.process`); `layout` is `smpl22` or `kit21`. Raises `ValueError` for another number of joints
+    (`process`); `layout` is `smpl22` or `kit21`. Raises `ValueError` for another number of joints
     or fewer than two poses.
     """
-    body = pose_layout(layout)
-    num_frames, num_joints = joint_positions.shape[:2]
-    if num_joints != body.num_joints or num_frames < 2:
-        raise ValueError(
-            f"{layout} vectors need at least 2 poses of {body.num_joints} joints, not {num_frames} of {num_joints}"
-        )
+    body = layout_of_poses(joint_positions, layout)
     positions = joint_positions.astype(np.float32, copy=False)
-    half_angle = _half_angles(positions, body)
-    tree = bone_tree(layout)
-    result = np.empty((num_frames - 1, body.vector.size), dtype=np.float32)
-    for start in range(0, num_frames - 1, _FRAMES_AT_ONCE):
-        stop = min(start + _FRAMES_AT_ONCE, num_frames - 1)
-        joints = positions[start : stop + 1].transpose(2, 1, 0).copy()
-        result[start:stop] = _block(joints, half_angle[start : stop + 1], body, tree).T
-    return result
+    hips, shoulders = across(positions, body.facing)
+    half_angle = half_angles_to_z(shoulders - hips, SMOOTHING_FRAMES)  # the published code swaps the hips
+    half_angle[0] = 0.0
+    angle, poses, change = 2 * half_angle, positions[:-1], np.diff(positions, axis=0)
+    return pose_rows(
+        # The published rate comes from quaternions: a heading beyond ±π is folded back by the arcsine.
+        np.arcsin(np.sin(np.diff(half_angle))),
+        kinematics.rotate_about_y(change[:, 0], angle[1:]),
+        relative_to_root(poses, angle[:-1]),
+        bone_rotations(poses, half_angle[:-1], body),
+        kinematics.rotate_about_y(change, angle[:-1, None]),
+        np.square(change[:, list(body.contact_joints)]).sum(axis=-1) < body.contact_threshold,
+    )
 
 
 def positions(vectors: Float[np.ndarray, "rows numbers"], layout: str) -> Float32[np.ndarray, "rows joints 3"]:
@@ -67,48 +65,10 @@ def positions(vectors: Float[np.ndarray, "rows numbers"], layout: str) -> Float3
     return recover_positions(vectors, body.num_joints)
 
 
-def _half_angles(positions: Float32[np.ndarray, "frames joints 3"], body: PoseLayout) -> Float64[np.ndarray, "frames"]:
-    """Half the angle about Y from each smoothed facing to Z+; the hips are swapped, frame 0 has 0."""
-    facing = body.facing
-    across = positions[:, facing.left_hip] - positions[:, facing.right_hip]
-    across += positions[:, facing.right_shoulder] - positions[:, facing.left_shoulder]
-    x, y, z = across.T
-    length = np.sqrt(x * x + y * y + z * z)
-    length[length == 0] = 1.0
-    half_angle = to_z_half_angle(smooth(np.stack((z / length, -x / length), axis=-1), SMOOTHING_FRAMES))
-    half_angle[0] = 0.0
-    return half_angle
-
-
-def _block(
-    joints: Float32[np.ndarray, "3 joints poses"],
-    half_angle: Float64[np.ndarray, "poses"],
-    body: PoseLayout,
-    tree: BoneTree,
-) -> Float32[np.ndarray, "numbers rows"]:
-    """The rows of consecutive poses; the last pose is used only for displacements."""
-    slices = body.vector
-    result = np.empty((slices.size, joints.shape[2] - 1), dtype=np.float32)
-    poses, change = joints[:, :, :-1], joints[:, :, 1:] - joints[:, :, :-1]
-    angle = 2 * half_angle
-    cosine, sine = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
-    # The published rate comes from quaternions: a heading beyond ±π is folded back by the arcsine.
-    result[slices.root_yaw_velocity] = np.arcsin(np.sin(half_angle[1:] - half_angle[:-1]))
-    turn(change[:, 0], cosine[1:], sine[1:], out=result[slices.root_velocity])
-    cosine, sine = cosine[:-1], sine[:-1]
-    fill_positions(result, poses, cosine, sine, slices)
-    rotations = result[slices.joint_rotations].reshape(body.num_joints - 1, 6, -1)
-    rotations_6d(poses, half_angle[:-1].astype(np.float32), tree, out=rotations)
-    fill_joint_velocities(result, change, cosine, sine, slices)
-    x, y, z = change.take(body.contact_joints, axis=1)
-    result[slices.contacts] = x * x + y * y + z * z < body.contact_threshold
-    return result
-
-
 def bone_lengths(pose: Float[np.ndarray, "joints 3"], layout: str) -> Float32[np.ndarray, "joints"]:
     """Length of the bone that ends in each joint of one pose; 0 for the root."""
     lengths = np.zeros(len(pose), dtype=np.float32)
-    lengths[1:] = np.linalg.norm(pose[1:] - pose[bone_tree(layout).start], axis=-1)
+    lengths[1:] = np.linalg.norm(pose[1:] - pose[list(pose_layout(layout).skeleton.parents[1:])], axis=-1)
     return lengths
 
 
@@ -128,18 +88,15 @@ def uniform_skeleton(
     The source's leg is measured on frame 0 only. The published code uses inverse and forward kinematics with
     swing-only rotations, which gives each target bone exactly the source bone's direction.
     """
-    body, tree = pose_layout(layout), bone_tree(layout)
-    leg = list(body.leg_joints)
-    joints = joint_positions.transpose(2, 1, 0).astype(np.float32, order="C")
-    bones = joints[:, 1:] - joints.take(tree.start, axis=1)
-    length = np.sqrt(np.square(bones).sum(axis=0))
-    source_leg = length[[joint - 1 for joint in leg], 0].sum()
-    length[length == 0] = 1.0
-    bones *= target[1:, None].astype(np.float32) / length
-    joints[:, 0] *= target[leg].sum() / source_leg
-    for joint, start in enumerate(tree.start, start=1):
-        joints[:, joint] = joints[:, start] + bones[:, joint - 1]
-    return joints.transpose(2, 1, 0)
+    body, joints = pose_layout(layout), joint_positions.astype(np.float32)
+    leg, parents = list(body.leg_joints), body.skeleton.parents[1:]
+    bones = joints[:, 1:] - joints[:, list(parents)]
+    length = np.linalg.norm(bones, axis=-1, keepdims=True)
+    bones *= target[1:, None].astype(np.float32) / np.where(length > 0, length, 1.0)
+    joints[:, 0] *= target[leg].sum() / sum(length[0, joint - 1, 0] for joint in leg)
+    for joint, parent in enumerate(parents, start=1):
+        joints[:, joint] = joints[:, parent] + bones[:, joint - 1]
+    return joints
 
 
 def on_floor(joint_positions: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames joints 3"]:
@@ -158,17 +115,9 @@ def facing_forward(
     joint_positions: Float[np.ndarray, "frames joints 3"], layout: str
 ) -> Float[np.ndarray, "frames joints 3"]:
     """The clip rotated about the Y axis so that frame 0 faces Z+."""
-    body: PoseLayout = pose_layout(layout)
-    x, z = facing_direction(joint_positions[0], body.facing)
-    length = np.hypot(x, z)
     # A body without a heading, facing straight up or down, is not rotated.
-    cosine, sine = (z / length, x / length) if length > 0 else (1.0, 0.0)
-    x, z = joint_positions[..., 0], joint_positions[..., 2]
-    turned = np.empty_like(joint_positions)
-    np.subtract(cosine * x, sine * z, out=turned[..., 0])
-    turned[..., 1] = joint_positions[..., 1]
-    np.add(sine * x, cosine * z, out=turned[..., 2])
-    return turned
+    x, z = facing_direction(joint_positions[:1].astype(np.float64), pose_layout(layout).facing).T
+    return kinematics.rotate_about_y(joint_positions, -np.arctan2(x, z))
 
 
 def process(

@@ -1,15 +1,14 @@
-"""Joint layouts of the pose-vector conventions: facing joints, chains, slices of the vector, rotations of bones.
-
-Arrays of bone rotations have the shape [component, joint, frame], so that operations run along contiguous time.
-"""
+"""Joint layouts of the pose-vector conventions: facing joints, chains, slices of the vector, rotations of bones."""
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
+from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
-from motionkit.core.shapes import Float, Float32, Float64, Int
+from motionkit.core.shapes import Bool, Float, Float32, Float64
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 
 
@@ -93,6 +92,12 @@ class PoseLayout:
         assert feet is not None
         return feet.left_ankle, feet.left_toe, feet.right_ankle, feet.right_toe
 
+    @cached_property
+    def previous_bones(self) -> list[int]:
+        """The bone before each bone 1 … J − 1 in its chain; 0, the root, for the first of any chain, also an arm's."""
+        previous = {bone: before for chain in self.chains for before, bone in pairwise((0, *chain[1:]))}
+        return [previous[bone] for bone in range(1, self.num_joints)]
+
 
 _X, _Y, _Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 _MX, _MY, _NONE = (-1, 0, 0), (0, -1, 0), (0, 0, 0)
@@ -129,6 +134,15 @@ def pose_layout(name: str) -> PoseLayout:
     return LAYOUTS[name]
 
 
+def layout_of_poses(joint_positions: Float[np.ndarray, "frames joints 3"], name: str) -> PoseLayout:
+    """The layout of this name; raises `ValueError` for another number of joints or fewer than two poses."""
+    body, (num_frames, num_joints, _) = pose_layout(name), joint_positions.shape
+    if num_joints != body.num_joints or num_frames < 2:
+        message = f"{name} vectors need at least 2 poses of {body.num_joints} joints"
+        raise ValueError(f"{message}, not {num_frames} of {num_joints}")
+    return body
+
+
 def layout_of(num_joints: int) -> PoseLayout:
     """The layout with this many joints (22 or 21); raises `UsageError` for other counts."""
     for layout in LAYOUTS.values():
@@ -138,17 +152,31 @@ def layout_of(num_joints: int) -> PoseLayout:
     raise UsageError(f"no joint layout has {num_joints} joints; map the motion to one of {known} first")
 
 
+def across(
+    joint_positions: Float[np.ndarray, "*poses joints 3"], facing: FacingJoints
+) -> tuple[Float[np.ndarray, "*poses 3"], Float[np.ndarray, "*poses 3"]]:
+    """The vectors from the left to the right hip, and from the left to the right shoulder."""
+    hips = joint_positions[..., facing.right_hip, :] - joint_positions[..., facing.left_hip, :]
+    return hips, joint_positions[..., facing.right_shoulder, :] - joint_positions[..., facing.left_shoulder, :]
+
+
 def facing_direction(
     joint_positions: Float[np.ndarray, "*poses joints 3"], facing: FacingJoints
 ) -> Float[np.ndarray, "*poses 2"]:
     """Horizontal facing direction (x, z) of each pose, not normalised: Y × ((R − L hip) + (R − L shoulder))."""
-    across = (
-        joint_positions[..., facing.right_hip, :]
-        - joint_positions[..., facing.left_hip, :]
-        + joint_positions[..., facing.right_shoulder, :]
-        - joint_positions[..., facing.left_shoulder, :]
-    )
-    return np.stack((across[..., 2], -across[..., 0]), axis=-1)
+    hips, shoulders = across(joint_positions, facing)
+    return np.stack(((hips + shoulders)[..., 2], -(hips + shoulders)[..., 0]), axis=-1)
+
+
+def half_angles_to_z(sideways: Float[np.ndarray, "frames 3"], sigma_frames: float) -> Float64[np.ndarray, "frames"]:
+    """Half the angle about Y, in (−π/2, π/2], from each smoothed facing, Y × `sideways`, to Z+.
+
+    A body lying on its side has a short horizontal lateral axis, and so little weight in the smoothed facing.
+    """
+    length = np.linalg.norm(sideways, axis=-1, keepdims=True)
+    unit = sideways / np.where(length > 0, length, 1.0)
+    forward = smooth(np.stack((unit[:, 2], -unit[:, 0]), axis=-1), sigma_frames)
+    return np.asarray(0.5 * np.arctan2(-forward[:, 0], forward[:, 1]))
 
 
 def smooth(values: Float[np.ndarray, "frames columns"], sigma_frames: float) -> Float64[np.ndarray, "frames columns"]:
@@ -163,92 +191,40 @@ def smooth(values: Float[np.ndarray, "frames columns"], sigma_frames: float) -> 
     return np.stack([np.convolve(column, kernel / kernel.sum(), mode="valid") for column in padded.T], axis=-1)
 
 
-def to_z_half_angle(direction: Float[np.ndarray, "frames 2"]) -> Float64[np.ndarray, "frames"]:
-    """Half the angle about Y, in (−π/2, π/2], from each horizontal direction (x, z) to Z+."""
-    return np.asarray(0.5 * np.arctan2(-direction[:, 0], direction[:, 1]), dtype=np.float64)
+def relative_to_root(
+    joint_positions: Float[np.ndarray, "frames joints 3"], angle: Float[np.ndarray, "frames"]
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Positions with the root above the origin, rotated about Y by each frame's angle; heights are kept."""
+    below = joint_positions[:, :1] * np.array([1, 0, 1], joint_positions.dtype)
+    return kinematics.rotate_about_y(joint_positions - below, angle[:, None])
 
 
-_NO_LENGTH = 1e-14
+def bone_rotations(
+    joint_positions: Float[np.ndarray, "frames joints 3"], half_turn: Float[np.ndarray, "frames"], body: PoseLayout
+) -> Float[np.ndarray, "frames numbers"]:
+    """The first two columns of each bone's rotation relative to the previous bone.
 
-
-@dataclass(frozen=True, eq=False)
-class BoneTree:
-    """The bones of a layout, one per joint 1 … J − 1, named after the joint they end in.
-
-    `start` is the joint a bone starts at; `previous` is the bone before it in its chain, or 0, the root, for the first
-    bone of every chain, the arms' included; `direction` [3, J, 1] is the rest direction u, along an axis, Z+ for the
-    root; `sideways` is an axis perpendicular to it.
+    A bone's world rotation is the shortest one from its rest direction; the root's is about Y by twice `half_turn`
+    radians. A bone of length zero is not rotated; one opposite to its rest direction is rotated by 180°. Source:
+    HumanML3D, common/skeleton.py (`inverse_kinematics_np`).
     """
-
-    start: Int[np.ndarray, "bones"]
-    previous: Int[np.ndarray, "bones"]
-    direction: Float32[np.ndarray, "3 joints 1"]
-    sideways: Float32[np.ndarray, "3 joints 1"]
-
-
-@cache
-def bone_tree(layout_name: str) -> BoneTree:
-    """The bones of a layout in the published chains."""
-    layout = LAYOUTS[layout_name]
-    bones = sorted((chain[i], chain[i - 1], i) for chain in layout.chains for i in range(1, len(chain)))
-    direction = np.array(layout.bone_directions, dtype=np.float32)
-    direction[0] = (0, 0, 1)
-    return BoneTree(
-        start=np.array([start for _, start, _ in bones]),
-        previous=np.array([start if place > 1 else 0 for _, start, place in bones]),
-        direction=direction.T[:, :, None].copy(),
-        sideways=np.roll(direction, 2, axis=1).T[:, :, None].copy(),
-    )
+    bones = joint_positions[:, 1:] - joint_positions[:, list(body.skeleton.parents[1:])]
+    world = np.zeros((*joint_positions.shape[:2], 4), joint_positions.dtype)
+    world[:, 0, 0], world[:, 0, 2] = np.cos(half_turn), np.sin(half_turn)
+    world[:, 1:] = kinematics.quaternion_between(np.array(body.bone_directions[1:], bones.dtype), bones)
+    previous = kinematics.quaternion_conjugate(world[:, body.previous_bones])
+    return kinematics.two_columns(kinematics.quaternion_multiply(previous, world[:, 1:]))
 
 
-def rotations_6d(
-    joints: Float32[np.ndarray, "3 joints frames"],
-    half_turn: Float32[np.ndarray, "frames"],
-    tree: BoneTree,
-    out: Float32[np.ndarray, "bones 6 frames"],
-) -> None:
-    """Write the first two columns of each bone's rotation relative to the previous bone.
-
-    A bone's world rotation is the shortest one from its rest direction u to its direction v: the quaternion
-    (1 + u·v, u × v). The root's is a rotation about Y by twice `half_turn` radians. A bone of length zero points along
-    its rest direction; one that points the opposite way is rotated by 180°. Source: HumanML3D, common/skeleton.py
-    (`inverse_kinematics_np`).
-    """
-    toward = np.empty_like(joints)
-    toward[:, 0] = tree.direction[:, 0]
-    np.subtract(joints[:, 1:], joints.take(tree.start, axis=1), out=toward[:, 1:])
-    toward /= np.sqrt(_squared_length(toward, tree.direction))
-    world = np.empty((4, *toward.shape[1:]), np.float32)
-    world[0] = 1 + (tree.direction * toward).sum(axis=0)
-    world[1:] = np.cross(tree.direction, toward, axis=0)
-    world[:, 0] = 0
-    world[0, 0], world[2, 0] = np.cos(half_turn), np.sin(half_turn)
-    squared = _squared_length(world, tree.sideways)
-    # The conjugate of the previous bone's quaternion times the bone's own.
-    w0, x0, y0, z0 = world.take(tree.previous, axis=1)
-    w1, x1, y1, z1 = world[:, 1:]
-    w = w0 * w1 + x0 * x1 + y0 * y1 + z0 * z1
-    x = w0 * x1 - x0 * w1 - y0 * z1 + z0 * y1
-    y = w0 * y1 - y0 * w1 - z0 * x1 + x0 * z1
-    z = w0 * z1 - z0 * w1 - x0 * y1 + y0 * x1
-    gain = 2 / (squared.take(tree.previous, axis=0) * squared[1:])
-    xy, zw, zz = gain * x * y, gain * z * w, gain * z * z
-    np.subtract(1, gain * y * y + zz, out=out[:, 0])
-    np.add(xy, zw, out=out[:, 1])
-    np.subtract(gain * x * z, gain * y * w, out=out[:, 2])
-    np.subtract(xy, zw, out=out[:, 3])
-    np.subtract(1, gain * x * x + zz, out=out[:, 4])
-    np.add(gain * y * z, gain * x * w, out=out[:, 5])
-
-
-def _squared_length(
-    vectors: Float32[np.ndarray, "components joints frames"], fallback: Float32[np.ndarray, "3 joints 1"]
-) -> Float32[np.ndarray, "joints frames"]:
-    """Squared lengths of vectors or quaternions; x, y, z of zeros are replaced by the fallback, a unit vector."""
-    squared = np.square(vectors[-3:]).sum(axis=0)
-    if len(vectors) == 4:
-        squared += np.square(vectors[0])
-    empty = squared < _NO_LENGTH
-    np.copyto(vectors[-3:], fallback, where=empty)
-    squared[empty] = 1.0
-    return np.asarray(squared)
+def pose_rows(
+    yaw_rate: Float[np.ndarray, "rows"],
+    root_velocity: Float[np.ndarray, "rows 3"],
+    positions: Float[np.ndarray, "rows joints 3"],
+    rotations: Float[np.ndarray, "rows columns"],
+    velocities: Float[np.ndarray, "rows joints 3"],
+    contacts: Bool[np.ndarray, "rows 4"],
+) -> Float32[np.ndarray, "rows numbers"]:
+    """Rows of 12·J − 1 numbers (`VectorLayout`) of the columns' parts; `positions` are those of `relative_to_root`."""
+    rows = len(positions)
+    parts = (yaw_rate[:, None], root_velocity[:, ::2], positions[:, 0, 1:2], positions[:, 1:].reshape(rows, -1))
+    return np.concatenate((*parts, rotations, velocities.reshape(rows, -1), contacts), axis=1, dtype=np.float32)

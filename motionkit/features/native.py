@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from motionkit.core import kinematics
 from motionkit.core.motion import exchanged
 from motionkit.core.shapes import Float, Float32, Float64, Int
 from motionkit.core.skeleton import SMPL22, Skeleton
@@ -21,52 +22,21 @@ from motionkit.features.convention import Instants, InstantVectors, Origin, Valu
 from motionkit.features.layout import (
     SMPL22_LAYOUT,
     PoseLayout,
-    VectorLayout,
-    bone_tree,
+    across,
+    bone_rotations,
+    half_angles_to_z,
+    layout_of_poses,
     pose_layout,
-    rotations_6d,
-    smooth,
-    to_z_half_angle,
+    pose_rows,
+    relative_to_root,
 )
 from motionkit.fields.motion_field import Poses, Times
-
-Joints = Float32[np.ndarray, "3 joints rows"]
-PerRow = Float32[np.ndarray, "rows"]
-RowsOut = Float32[np.ndarray, "numbers rows"]
-
-
-def turn(
-    vectors: Float32[np.ndarray, "3 *rest"], cosine: PerRow, sine: PerRow, out: Float32[np.ndarray, "2 *rest"]
-) -> None:
-    """Write the x and z of vectors [x, y, z] rotated about Y by the angle of the given cosine and sine."""
-    np.add(cosine * vectors[0], sine * vectors[2], out=out[0])
-    np.subtract(cosine * vectors[2], sine * vectors[0], out=out[1])
-
-
-def fill_positions(rows: RowsOut, joints: Joints, cosine: PerRow, sine: PerRow, slices: VectorLayout) -> None:
-    """Write root height and root-relative joint positions, rotated so that each pose faces Z+."""
-    num_rows = joints.shape[2]
-    rows[slices.root_height] = joints[1, 0]
-    relative = rows[slices.joint_positions].reshape(slices.num_joints - 1, 3, num_rows)
-    x, z = joints[0, 1:] - joints[0, 0], joints[2, 1:] - joints[2, 0]
-    np.add(cosine * x, sine * z, out=relative[:, 0])
-    relative[:, 1] = joints[1, 1:]
-    np.subtract(cosine * z, sine * x, out=relative[:, 2])
-
-
-def fill_joint_velocities(rows: RowsOut, change: Joints, cosine: PerRow, sine: PerRow, slices: VectorLayout) -> None:
-    """Write the joints' displacements or velocities in the heading frame."""
-    velocities = rows[slices.joint_velocities].reshape(slices.num_joints, 3, change.shape[2])
-    turn(change, cosine, sine, out=velocities[:, ::2].transpose(1, 0, 2))
-    velocities[:, 1] = change[1]
-
 
 CONVENTION = "native"
 SMOOTHING_SECONDS = 1.0
 # √0.002 m per frame at 20 fps, the published threshold, on a body with the legs of the published skeleton.
 CONTACT_SPEED = 0.894
 SECONDS_BETWEEN_STEPS = 1 / 120
-_FRAMES_AT_ONCE = 256
 
 
 def vectors(
@@ -77,24 +47,20 @@ def vectors(
     Metres for `smpl22`; any unit for `kit21`, whose contact speed is scaled by the length of the leg. Raises
     `ValueError` for another number of joints or fewer than two poses.
     """
-    body = pose_layout(layout)
-    num_frames, num_joints = joint_positions.shape[:2]
-    if num_joints != body.num_joints or num_frames < 2:
-        raise ValueError(
-            f"{layout} vectors need at least 2 poses of {body.num_joints} joints, not {num_frames} of {num_joints}"
-        )
+    body = layout_of_poses(joint_positions, layout)
     positions = joint_positions.astype(np.float64)
-    angle = _angle_to_z(positions, body, fps)
-    velocity = _derivative(positions.reshape(num_frames, -1), fps).astype(np.float32).reshape(positions.shape)
-    rate = _derivative(angle[:, None], fps)[:, 0].astype(np.float32)
-    contact_speed = _contact_speed(positions, body)
-    result = np.empty((num_frames, body.vector.size), dtype=np.float32)
-    for start in range(0, num_frames, _FRAMES_AT_ONCE):
-        block = slice(start, min(start + _FRAMES_AT_ONCE, num_frames))
-        joints = joint_positions[block].transpose(2, 1, 0).astype(np.float32, order="C")
-        speeds = velocity[block].transpose(2, 1, 0).copy()
-        result[block] = _block(joints, speeds, angle[block], rate[block], body, contact_speed).T
-    return result
+    hips, shoulders = across(positions, body.facing)
+    angle = np.unwrap(2 * half_angles_to_z(hips + shoulders, SMOOTHING_SECONDS * float(fps)))
+    velocities = _derivative(positions.reshape(len(positions), -1), fps).reshape(positions.shape)
+    relative = relative_to_root(positions, angle)
+    return pose_rows(
+        _derivative(angle[:, None], fps)[:, 0],
+        kinematics.rotate_about_y(velocities[:, 0], angle),
+        relative,
+        bone_rotations(relative, np.zeros(len(positions)), body),
+        kinematics.rotate_about_y(velocities, angle[:, None]),
+        np.linalg.norm(velocities[:, list(body.contact_joints)], axis=-1) < _contact_speed(positions, body),
+    )
 
 
 def positions_at(
@@ -111,13 +77,13 @@ def positions_at(
         raise ValueError(f"{layout} vectors have {slices.size} numbers, these have {vectors.shape[1]}")
     numbers = vectors.astype(np.float64)
     angle = _integral(numbers[:, slices.root_yaw_velocity], seconds)[:, 0]
-    path = _integral(_turned_back(numbers[:, slices.root_velocity], angle), seconds)
+    root = np.zeros((len(numbers), 3))
+    root[:, ::2] = numbers[:, slices.root_velocity]
+    root = _integral(kinematics.rotate_about_y(root, -angle), seconds)
     relative = numbers[:, slices.joint_positions].reshape(len(numbers), body.num_joints - 1, 3)
-    result = np.empty((len(numbers), body.num_joints, 3))
-    result[:, 0, ::2], result[:, 0, 1] = path, numbers[:, slices.root_height][:, 0]
-    result[:, 1:, ::2] = _turned_back(relative[..., ::2], angle[:, None]) + path[:, None]
-    result[:, 1:, 1] = relative[..., 1]
-    return result.astype(np.float32)
+    joints = kinematics.rotate_about_y(relative, -angle[:, None]) + root[:, None]
+    root[:, 1:2] = numbers[:, slices.root_height]
+    return np.concatenate((root[:, None], joints), axis=1, dtype=np.float32)
 
 
 def mirrored(vectors: Float[np.ndarray, "*poses numbers"], layout: str) -> Float[np.ndarray, "*poses numbers"]:
@@ -146,44 +112,6 @@ def _mirror_map(layout: str) -> tuple[Int[np.ndarray, "numbers"], Float32[np.nda
     return source, sign
 
 
-def _angle_to_z(
-    positions: Float64[np.ndarray, "frames joints 3"], body: PoseLayout, fps: Fraction
-) -> Float64[np.ndarray, "frames"]:
-    """The angle about Y, continuous in time, from each smoothed facing to Z+."""
-    facing = body.facing
-    across = positions[:, facing.right_hip] - positions[:, facing.left_hip]
-    across = across + positions[:, facing.right_shoulder] - positions[:, facing.left_shoulder]
-    # A body lying on its side has a short horizontal lateral axis, and so little weight in the smoothed facing.
-    length = np.linalg.norm(across, axis=-1, keepdims=True)
-    forward = np.stack((across[:, 2], -across[:, 0]), axis=-1) / np.where(length > 0, length, 1.0)
-    return np.unwrap(2 * to_z_half_angle(smooth(forward, SMOOTHING_SECONDS * float(fps))))
-
-
-def _block(
-    joints: Joints,
-    velocity: Joints,
-    angle: Float64[np.ndarray, "rows"],
-    rate: PerRow,
-    body: PoseLayout,
-    contact_speed: float,
-) -> RowsOut:
-    slices = body.vector
-    result = np.empty((slices.size, len(angle)), dtype=np.float32)
-    result[slices.root_yaw_velocity] = rate
-    cosine, sine = np.cos(angle).astype(np.float32), np.sin(angle).astype(np.float32)
-    turn(velocity[:, 0], cosine, sine, out=result[slices.root_velocity])
-    fill_positions(result, joints, cosine, sine, slices)
-    local = np.zeros_like(joints)
-    local[1, 0] = joints[1, 0]
-    local[:, 1:] = result[slices.joint_positions].reshape(body.num_joints - 1, 3, -1).transpose(1, 0, 2)
-    rotations = result[slices.joint_rotations].reshape(body.num_joints - 1, 6, -1)
-    rotations_6d(local, np.zeros(len(angle), np.float32), bone_tree(body.name), out=rotations)
-    fill_joint_velocities(result, velocity, cosine, sine, slices)
-    x, y, z = velocity.take(body.contact_joints, axis=1)
-    result[slices.contacts] = x * x + y * y + z * z < contact_speed**2
-    return result
-
-
 def _contact_speed(positions: Float64[np.ndarray, "frames joints 3"], body: PoseLayout) -> float:
     """The contact threshold in the positions' unit per second."""
     if body is SMPL22_LAYOUT:
@@ -207,14 +135,6 @@ def _integral(
 ) -> Float64[np.ndarray, "frames columns"]:
     steps = (rates[1:] + rates[:-1]) * (0.5 * np.diff(seconds)[:, None])
     return np.concatenate((np.zeros_like(rates[:1]), np.cumsum(steps, axis=0)))
-
-
-def _turned_back(
-    horizontal: Float64[np.ndarray, "*rest 2"], angle: Float64[np.ndarray, "*angles"]
-) -> Float64[np.ndarray, "*rest 2"]:
-    cosine, sine = np.cos(angle), np.sin(angle)
-    x, z = horizontal[..., 0], horizontal[..., 1]
-    return np.stack((cosine * x - sine * z, sine * x + cosine * z), axis=-1)
 
 
 @dataclass(frozen=True)

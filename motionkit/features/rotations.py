@@ -76,7 +76,7 @@ def rows_of_poses(poses: Poses, skeleton: Skeleton) -> PoseRows:
     if poses.local_rotations is None and skeleton.joint_names == SMPL22.joint_names:
         skeleton = SMPL22
     joints = Joints.of(poses, skeleton)
-    vectors = np.concatenate((joints.root, two_columns(joints.rotations)), axis=1)
+    vectors = np.concatenate((joints.root, kinematics.two_columns(joints.rotations)), axis=1)
     return PoseRows(vectors.astype(np.float32), joints.bones.astype(np.float32), skeleton)
 
 
@@ -89,12 +89,6 @@ def poses_of(
     positions = kinematics.forward_kinematics_matrices(matrices, root, skeleton, bones.astype(np.float64))
     rotations = kinematics.matrix_to_quaternion(matrices)
     return Poses(positions.astype(np.float32), rotations.astype(np.float32))
-
-
-def two_columns(quaternions: Float[np.ndarray, "*poses joints 4"]) -> Float[np.ndarray, "*poses numbers"]:
-    """The first two columns of each rotation matrix, joint after joint: (R₁₁, R₂₁, R₃₁, R₁₂, R₂₂, R₃₂)."""
-    columns = kinematics.quaternion_to_matrix(quaternions)[..., :2].swapaxes(-1, -2)
-    return np.ascontiguousarray(columns).reshape(*quaternions.shape[:-2], 6 * quaternions.shape[-2])
 
 
 def to_window(vectors: Rows, yaw: Yaw, origin: Origin) -> Float32[np.ndarray, "windows poses numbers"]:
@@ -141,12 +135,8 @@ def mirrored(
 
 def _turn(vectors: Float32[np.ndarray, "windows poses numbers"], yaw: Yaw) -> None:
     # The root's position and the two columns of its rotation, in place.
-    sine, cosine = np.sin(yaw)[:, None, None], np.cos(yaw)[:, None, None]
     three = vectors[..., :9].reshape(*vectors.shape[:-1], 3, 3)
-    x, z = three[..., 0].copy(), three[..., 2].copy()
-    three[..., 0] = cosine * x + sine * z
-    three[..., 2] = cosine * z - sine * x
-    vectors[..., :9] = three.reshape(*vectors.shape[:-1], 9)
+    vectors[..., :9] = kinematics.rotate_about_y(three, yaw[:, None, None]).reshape(*vectors.shape[:-1], 9)
 
 
 @dataclass(frozen=True)
@@ -194,7 +184,7 @@ class RotationVectors:
         half = -0.5 * yaw
         back = np.stack((np.cos(half), np.zeros_like(half), np.sin(half), np.zeros_like(half)), axis=-1)
         rotations[..., 0, :] = kinematics.quaternion_multiply(back[:, None], rotations[..., 0, :])
-        return np.concatenate((root, two_columns(rotations)), axis=-1).astype(np.float32)
+        return np.concatenate((root, kinematics.two_columns(rotations)), axis=-1).astype(np.float32)
 
     def instants(self, seconds: Times) -> Times:
         """`seconds` themselves: nothing is integrated."""

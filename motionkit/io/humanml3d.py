@@ -12,11 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.files import naming
 from motionkit.core.moments import Moments, merge, moments
 from motionkit.core.motion import Caption, Motion
-from motionkit.core.shapes import Float, Float32, Float64
+from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import joints_npy, npy, source_file, texts
@@ -147,22 +148,13 @@ def recover_positions(
     angle[1:] = 2.0 * np.cumsum(values[:-1, 0])
     step = np.zeros((len(values), 3))
     step[1:, [0, 2]] = values[:-1, 1:3]
-    root = np.cumsum(_to_world(step[:, None], angle)[:, 0], axis=0)
+    root = np.cumsum(kinematics.rotate_about_y(step, -angle), axis=0)
     positions = np.empty((len(values), num_joints, 3))
     local = values[:, 4 : 4 + 3 * (num_joints - 1)].reshape(len(values), num_joints - 1, 3)
-    positions[:, 1:] = _to_world(local, angle) + root[:, None]
+    positions[:, 1:] = kinematics.rotate_about_y(local, -angle[:, None]) + root[:, None]
     positions[:, 0] = root
     positions[:, 0, 1] = values[:, 3]
     return positions.astype(np.float32)
-
-
-def _to_world(
-    vectors: Float64[np.ndarray, "frames joints 3"], angle: Float64[np.ndarray, "frames"]
-) -> Float64[np.ndarray, "frames joints 3"]:
-    # The inverse of the heading quaternion (cos, 0, sin, 0): a rotation about y by −angle.
-    cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    return np.stack((cosine * x - sine * z, y, sine * x + cosine * z), axis=-1)
 
 
 @dataclass(frozen=True)

@@ -192,7 +192,7 @@ def test_other_skeletons_keep_their_joints_or_are_mapped() -> None:
 def test_world_and_window_are_inverse_and_turn_the_heading(seed: int) -> None:
     rng = np.random.default_rng(seed)
     vectors = np.concatenate(
-        (rng.normal(size=(2, 7, 3)), rotations.two_columns(random_rotations(seed, 2, 7, 22))), axis=-1
+        (rng.normal(size=(2, 7, 3)), kinematics.two_columns(random_rotations(seed, 2, 7, 22))), axis=-1
     )
     vectors = vectors.astype(np.float32)
     yaw, origin = rng.uniform(-3, 3, 2), rng.normal(size=(2, 2))
