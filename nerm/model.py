@@ -460,15 +460,15 @@ class NermModel:
         config = self.field.config
         return KINDS if config.pose_vectors == "field" and config.decoder.kind == "mlp" else frozenset()
 
-    @cached_property
-    def text_encoder(self) -> TextEncoder:
-        """The encoder it was trained with, loaded on first use.
+    def text_encoder(self) -> TextEncoder | None:
+        """The encoder it was trained with, loaded on first use; None if it was trained without texts.
 
-        Raises `UsageError` if it was trained without texts, or the encoder is not installed; `RunError` if the
-        encoder's weights have changed.
+        Raises `UsageError` if the encoder is not installed, and `RunError` if its weights have changed.
         """
-        if not self.denoiser.text_fingerprint:
-            raise UsageError(NO_TEXTS)
+        return self._text_encoder if self.denoiser.text_fingerprint else None
+
+    @cached_property
+    def _text_encoder(self) -> TextEncoder:
         try:
             return load_same_encoder(self.denoiser.text_encoder, self.denoiser.text_fingerprint, "the model")
         except MissingExtraError as error:
@@ -556,7 +556,7 @@ class NermModel:
         """Unit-length embeddings, zeros for empty texts; each distinct text is encoded once."""
         embedded = {"": np.zeros(self.denoiser.layout.text_dimension, dtype=np.float32)}
         if distinct := list(dict.fromkeys(text for text in texts if text)):
-            embedded |= zip(distinct, unit_rows(self.text_encoder.encode(distinct)), strict=True)
+            embedded |= zip(distinct, unit_rows(self._text_encoder.encode(distinct)), strict=True)
         return np.stack([embedded[text] for text in texts])
 
 

@@ -273,9 +273,12 @@ class PeerModel:
         """Whether it learnt from no motion without its condition, but for those that have none."""
         return not (self.unconditional or self.config.conditions.drop)
 
+    def text_encoder(self) -> TextEncoder | None:
+        """The encoder it was trained with, None without texts; raises `RunError` where its weights have changed."""
+        return self._text_encoder if self.config.conditions.kind == "text" else None
+
     @cached_property
-    def text_encoder(self) -> TextEncoder:
-        """The encoder it was trained with; raises `RunError` where its weights have changed."""
+    def _text_encoder(self) -> TextEncoder:
         return load_same_encoder(self.config.conditions.text_encoder, self.text_fingerprint, self.name)
 
     def check(self, request: GenerationRequest, sampling: SamplingOptions = SamplingOptions()) -> None:
@@ -354,7 +357,7 @@ class PeerModel:
         texts = [request.text if settings.kind == "text" else "" for request in requests]
         actions = [request.action if settings.kind == "action" else "" for request in requests]
         named = list(dict.fromkeys(text for text in texts if text))
-        rows = settings.embedded(self.text_encoder.encode(named), named) if named else ()
+        rows = settings.embedded(self._text_encoder.encode(named), named) if named else ()
         embedding = dict(zip(named, rows, strict=True)) | {"": self.nothing}
         return Conditions(
             text=torch.stack([embedding[text] for text in texts]),

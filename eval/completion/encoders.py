@@ -12,7 +12,7 @@ from eval.sets.sets import Missing
 from motionkit.core.errors import DamagedFileError, MotionkitError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion, two_columns
 from motionkit.core.shapes import Float64
-from motionkit.edit.encoders import encoder_loader, installed_encoders
+from motionkit.edit.encoders import installed_encoders
 from motionkit.fields.interpolation import INTERPOLATORS, CurveKind, curve
 from motionkit.fields.motion_field import (
     BatchEncoder,
@@ -23,7 +23,7 @@ from motionkit.fields.motion_field import (
     at_fps,
     check_observed_alike,
 )
-from motionkit.training.run import RunFolder, Task
+from motionkit.training.run import RunFolder, Task, loader_named
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def trained_completers(
 
 def completer_of(name: str, run: Path) -> Completer:
     """The row of a run's trained encoder; raises what loading it raises."""
-    loader = encoder_loader(name)
+    loader = loader_named("ENCODERS", name)
     encoder = loader.load(run)
     folder, stage = RunFolder(run), loader.stages[-1]
     # Another package's run may have no config.json.

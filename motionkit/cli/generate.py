@@ -82,7 +82,7 @@ def generate(
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants.
 
     Example: motionkit generate --unconditional --seconds 4 --fps 120 -n 4 --out made --format bvh"""
-    from motionkit.generate.models import SamplingOptions, load_model, model_loader, model_of, warn_above_training
+    from motionkit.generate.models import SamplingOptions, load_model, model_of, warn_above_training
     from motionkit.generate.output import Job, locked_output, output_format
     from motionkit.generate.request import (
         MotionsRequest,
@@ -93,7 +93,7 @@ def generate(
     )
     from motionkit.store import Store
     from motionkit.training.detail import load_detail
-    from motionkit.training.run import RunFolder, find_run
+    from motionkit.training.run import RunFolder, find_run, loader_named
     from motionkit.training.text import unfamiliar_texts
 
     if resume and overwrite:
@@ -119,10 +119,10 @@ def generate(
     warn_above_training(loaded, job.fps)
     requests = [each for script in request.motions for each in script]
     given = list(dict.fromkeys(each.text for each in requests if each.text and not each.action))
-    if given and hasattr(loaded, "text_encoder"):
-        trained_on = RunFolder(place).stage(model_loader(name).stages[-1]).read_config()["store"]
+    if given and (encoder := loaded.text_encoder()) is not None:
+        trained_on = RunFolder(place).stage(loader_named("MODELS", name).stages[-1]).read_config()["store"]
         if trained_on and is_store(Path(trained_on)):
-            for text, nearest in unfamiliar_texts(loaded.text_encoder, Store.open(trained_on), given).items():
+            for text, nearest in unfamiliar_texts(encoder, Store.open(trained_on), given).items():
                 stderr.print(f"motionkit: nothing like {text!r} in training: nearest {nearest!r}")
     num_motions = len(request.motions)
     if job.num_joined:

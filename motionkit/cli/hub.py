@@ -34,13 +34,13 @@ def pack(
     Example: motionkit pack nano walker
     """
     from motionkit.edit.export import render
-    from motionkit.generate.models import model_loader, model_of
+    from motionkit.generate.models import model_of
     from motionkit.training import detail
     from motionkit.training.pack import pack_run
-    from motionkit.training.run import RunFolder, find_run
+    from motionkit.training.run import RunFolder, find_run, loader_named
 
     place = find_run(run, runs)
-    stages = list(model_loader(model or model_of(place)).stages)
+    stages = list(loader_named("MODELS", model or model_of(place)).stages)
     stages += [detail.NAME] if RunFolder(place).stage(detail.NAME).is_complete else []
     files = pack_run(RunFolder(place), out, stages, overwrite=overwrite)
     if not (card := out / README).exists():

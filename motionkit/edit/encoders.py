@@ -20,25 +20,10 @@ from motionkit.fields.transfer import Transferred
 from motionkit.training.run import Loader, RunFolder, Task, find_run, installed_loaders, loader_named
 
 
-def trained_encoder_names() -> tuple[str, ...]:
-    """Names of all installed trained encoders, whether or not a run has them."""
-    return plugins.names("ENCODERS")
-
-
 def installed_encoders(task: Task | None = None) -> dict[str, Loader[MotionEncoder]]:
     """All installed trained encoders by name, or those for one task."""
     loaders: dict[str, Loader[MotionEncoder]] = installed_loaders("ENCODERS")
     return {name: loader for name, loader in loaders.items() if task is None or task in loader.tasks}
-
-
-def encoder_loader(name: str) -> Loader[MotionEncoder]:
-    """The loader of a trained encoder; raises `UsageError` that lists the known ones."""
-    if name not in trained_encoder_names():
-        trained = ", ".join(trained_encoder_names()) or "none is installed"
-        raise UsageError(
-            f"no encoder is called {name!r}; interpolators: {', '.join(INTERPOLATORS)}; trained: {trained}"
-        )
-    return loader_named("ENCODERS", name)
 
 
 def runs_with(name: str, runs: Path) -> tuple[Path, ...]:
@@ -46,7 +31,7 @@ def runs_with(name: str, runs: Path) -> tuple[Path, ...]:
 
     Raises `UsageError` for an unknown name.
     """
-    loader = encoder_loader(name)
+    loader = loader_named("ENCODERS", name)
 
     def trained_at(run: Path) -> int:
         return RunFolder(run).stage(loader.stages[-1]).summary_path.stat().st_mtime_ns
@@ -112,6 +97,10 @@ def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncod
         name = ALIASES.get(name, name)
         interpolator = next((encoder for method, encoder in INTERPOLATORS.items() if method == name), None)
         if interpolator is None:
+            if name not in plugins.names("ENCODERS"):
+                trained = ", ".join(plugins.names("ENCODERS")) or "none is installed"
+                known = f"interpolators: {', '.join(INTERPOLATORS)}; trained: {trained}"
+                raise UsageError(f"no encoder is called {name!r}; {known}")
             return _trained(name, run, runs)
         if run is not None:
             raise UsageError(f"{name} is an interpolator, which no run holds: leave out run")
@@ -121,16 +110,16 @@ def choose_encoder(name: str | None, run: str | None, runs: Path) -> ChosenEncod
     if preferred is not None and (run is not None or runs_with(preferred, runs)):
         return _trained(preferred, run, runs)
     if run is not None:
-        raise UsageError(f"run {run}: give its encoder as model ({', '.join(trained_encoder_names()) or 'none'})")
+        raise UsageError(f"run {run}: give its encoder as model ({', '.join(plugins.names('ENCODERS')) or 'none'})")
     reason = ""
     if preferred is not None:
-        command = encoder_loader(preferred).train_command()
+        command = loader_named("ENCODERS", preferred).train_command()
         reason = f", since no run in {runs} has a trained {preferred}: {command} trains one"
     return ChosenEncoder(BASE.name, BASE, False, f"{BASE.name}, an interpolator{reason}")
 
 
 def _trained(name: str, run: str | None, runs: Path) -> ChosenEncoder:
-    loader = encoder_loader(name)
+    loader: Loader[MotionEncoder] = loader_named("ENCODERS", name)
     if run is None:
         trained = runs_with(name, runs)
         if not trained:

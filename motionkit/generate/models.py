@@ -10,13 +10,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from motionkit.core import plugins
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import warn
 from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate.constraints import Constraint, ConstraintKind
 from motionkit.training.run import Loader, installed_loaders, loader_named
+from motionkit.training.text import TextEncoder
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,9 @@ class GenerativeModel(Protocol):
     def max_duration_seconds(self) -> float:
         """Longest motion of a request (l_max)."""
 
+    def text_encoder(self) -> TextEncoder | None:
+        """The encoder of its texts, loaded on first use; None if it was trained without texts."""
+
     def generate(
         self,
         requests: Sequence[GenerationRequest],
@@ -121,16 +124,10 @@ def installed_models() -> dict[str, Loader[GenerativeModel]]:
     return installed_loaders("MODELS")
 
 
-def model_loader(name: str) -> Loader[GenerativeModel]:
-    """The loader of a model; raises `UsageError` that lists the known ones."""
-    if name not in (known := plugins.names("MODELS")):
-        raise UsageError(f"no model is called {name!r}; installed models: {', '.join(known) or 'none'}")
-    return loader_named("MODELS", name)
-
-
 def load_model(name: str, run: Path) -> GenerativeModel:
-    """Load an installed model by its name, from a run folder."""
-    return model_loader(name).load(run)
+    """Load an installed model by its name, from a run folder; raises `UsageError` that lists the known ones."""
+    loader: Loader[GenerativeModel] = loader_named("MODELS", name)
+    return loader.load(run)
 
 
 def model_of(run: Path) -> str:

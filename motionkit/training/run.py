@@ -267,8 +267,15 @@ def installed_loaders(kind: Literal["MODELS", "ENCODERS"]) -> dict[str, Loader[A
 
 
 def loader_named(kind: Literal["MODELS", "ENCODERS"], name: str) -> Loader[Any]:
-    """The loader of an installed model or encoder; a plain function gets its name as title and stage."""
-    found = plugins.load(kind, name)
+    """The loader of an installed model or encoder; a plain function gets its name as title and stage.
+
+    Raises `UsageError` that lists the installed ones.
+    """
+    try:
+        found = plugins.load(kind, name)
+    except KeyError:
+        what, known = "model" if kind == "MODELS" else "trained encoder", ", ".join(plugins.names(kind)) or "none"
+        raise UsageError(f"no {what} is called {name!r}; installed: {known}") from None
     return found if isinstance(found, Loader) else Loader(name, (name,), found)
 
 

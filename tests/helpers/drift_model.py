@@ -33,6 +33,9 @@ class DriftModel:
     def __init__(self, fails_at=None):
         self.fails_at = fails_at
 
+    def text_encoder(self):
+        return None
+
     def check(self, request, sampling=None):
         if request.action == "fly":
             raise mk.UsageError("the model knows no action 'fly'")

@@ -43,6 +43,9 @@ class ScriptedModel:
         self.script, self.max_duration_seconds = script, max_duration_seconds
         self.asked = 0
 
+    def text_encoder(self) -> None:
+        return None
+
     def generate(
         self,
         requests: Sequence[GenerationRequest],

@@ -15,7 +15,6 @@ from motionkit.core.errors import UsageError
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
-from motionkit.edit.encoders import encoder_loader
 from motionkit.features import native
 from motionkit.fields.motion_field import Observation
 from motionkit.fields.resample import upsample
@@ -24,7 +23,7 @@ from motionkit.store.reader import Store
 from motionkit.training import loop
 from motionkit.training.config import apply_overrides
 from motionkit.training.loop import step_generator
-from motionkit.training.run import RunError, RunFolder, StageContext
+from motionkit.training.run import RunError, RunFolder, StageContext, loader_named
 from peers.motions import MotionCorpus, open_corpus
 from tests.helpers.completing import complete
 from tests.helpers.nerm_corpus import analytic_positions
@@ -171,8 +170,8 @@ def capture() -> Motion:
 
 @pytest.mark.parametrize("name", ON_GRIDS_ONLY)
 def test_a_trained_grid_peer_upsamples_and_refuses_gaps(run: Path, name: str) -> None:
-    encoder, motion = encoder_loader(name).load(run), capture()
-    assert encoder.name == encoder_loader(name).title
+    encoder, motion = loader_named("ENCODERS", name).load(run), capture()
+    assert encoder.name == loader_named("ENCODERS", name).title
     made = upsample(motion, Fraction(60), encoder)
     assert made.num_frames == 91
     np.testing.assert_array_equal(made.joint_positions[::2], motion.joint_positions)
@@ -190,7 +189,7 @@ def test_a_trained_grid_peer_upsamples_and_refuses_gaps(run: Path, name: str) ->
 
 @pytest.mark.parametrize("name", ["delta-interp", "ts-former"])
 def test_a_trained_inbetweener_fills_a_gap_at_any_framerate(run: Path, name: str) -> None:
-    encoder, motion = encoder_loader(name).load(run), capture()
+    encoder, motion = loader_named("ENCODERS", name).load(run), capture()
     observed = np.ones(46, bool)
     observed[20:28] = False
     made = complete(motion, encoder, observed=observed)

@@ -15,11 +15,10 @@ from eval.tables.systems import COLUMNS, Trained, Yardstick, label, reconstructo
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, mean_cells, printed_block, reported_figures
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import tracked
-from motionkit.edit.encoders import encoder_loader, installed_encoders
-from motionkit.generate.models import model_loader
+from motionkit.edit.encoders import installed_encoders
 from motionkit.store.reader import Store
 from motionkit.training.ablations import Ablation, find_ablations
-from motionkit.training.run import RunFolder
+from motionkit.training.run import RunFolder, loader_named
 
 NERM = find_ablations("nerm")
 TRAINING, HELD_OUT = "training windows", "held-out windows"
@@ -94,7 +93,7 @@ def ablated(ablation: Ablation, config: EvalConfig, store: Store) -> Content:
 
     Raises `UsageError` without a run's name, or if none of the table's runs is trained.
     """
-    encoder, model = encoder_loader(NERM.paper), model_loader(NERM.paper)
+    encoder, model = loader_named("ENCODERS", NERM.paper), loader_named("MODELS", NERM.paper)
     runs = NERM.trained_runs(ablation.table, config.run, encoder.stages[-1])
     assert config.run is not None
     command = NERM.command(ablation.table, config.run)

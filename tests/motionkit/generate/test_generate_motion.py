@@ -145,6 +145,9 @@ class Performer:
 
     name, skeleton, max_training_fps, max_duration_seconds = "Performer", mk.SMPL22, Fraction(120), 4.0
 
+    def text_encoder(self):
+        return None
+
     def generate(self, requests, *, seed, sampling=None, first=0):
         fields = []
         for number, request in enumerate(requests, start=first):
