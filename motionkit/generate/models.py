@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import warn
@@ -16,7 +16,9 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.fields.motion_field import MotionField
 from motionkit.generate.constraints import Constraint, ConstraintKind
 from motionkit.training.run import Loader, installed_loaders, loader_named
-from motionkit.training.text import TextEncoder
+
+if TYPE_CHECKING:
+    from motionkit.training.text import TextEncoder
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class GenerativeModel(Protocol):
     def max_duration_seconds(self) -> float:
         """Longest motion of a request (l_max)."""
 
-    def text_encoder(self) -> TextEncoder | None:
+    def text_encoder(self) -> "TextEncoder | None":
         """The encoder of its texts, loaded on first use; None if it was trained without texts."""
 
     def generate(
