@@ -11,10 +11,11 @@ from functools import lru_cache
 import numpy as np
 
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Bool, Float, Float32, Float64, Int64
+from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, joint_map
 from motionkit.core.timegrid import COMMON_FPS
+from motionkit.fields.contact.detection import runs
 
 # Above these a sequence is flagged, not refused: real captures hold glitches and floors that are off, and the reader
 # decides. docs/quality.md says where each figure comes from, docs/results/quality.md what it hits in real captures.
@@ -70,7 +71,8 @@ def measure(motion: Motion) -> Quality:
     longest[longest <= SAME_METRES] = 0.0
     max_speed = float(longest.max(initial=0.0) * fps)
     jumps = _jumps(np.sqrt(squared), fps)
-    held_starts, held_lengths = _runs(longest == 0.0)
+    held_starts, held_stops = runs(longest == 0.0)
+    held_lengths = held_stops - held_starts
     frozen = int(held_lengths.argmax()) if len(held_lengths) else None
     frozen_seconds = 0.0 if frozen is None else float(held_lengths[frozen] / fps)
     noise = jitter(positions, fps)
@@ -129,15 +131,6 @@ def _jumps(lengths: Float32[np.ndarray, "steps joints"], fps: float) -> Int64[np
     excess[:2] -= lengths[2:4]
     excess[-2:] -= lengths[-4:-2]
     return np.flatnonzero(excess.max(axis=1) * fps > min(MAX_JUMP_SPEED, 2.0 * JUMP_ACCELERATION / fps))
-
-
-def _runs(
-    holds: Bool[np.ndarray, "steps"],
-) -> tuple[Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"]]:
-    # First step and number of steps of every run of steps for which it holds.
-    edges = np.diff(np.concatenate(([0], holds.astype(np.int8), [0])))
-    starts = np.flatnonzero(edges == 1)
-    return starts, np.flatnonzero(edges == -1) - starts
 
 
 def squared_differences(

@@ -44,22 +44,13 @@ MAX_VALUES = 2**31 - 1
 # 4 metres from the origin, so no coordinate loses what it would have kept a few steps further away.
 RESOLUTION_BITS = 22
 _SCALE = np.float32(2.0**RESOLUTION_BITS)
-# Values that times the scale are beyond float32: far from all bodies, and whole numbers anyway.
-_TOO_LARGE = np.float32(2.0**100)
 
 
 def rounded(values: Float32[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shape"]:
     """Round to the nearest multiple of 2^-22, ties to even; from 2 on float32 has no finer resolution."""
-    if not values.size:
-        return values
-    if not (values.min() > -_TOO_LARGE and values.max() < _TOO_LARGE):
-        inside = np.where(np.abs(values) < _TOO_LARGE, values, np.float32(0))
-        return np.where(inside == values, rounded(inside), values)
-    # Scaling by a power of two is exact, and from 2 on the scaled number is whole.
-    on_grid: Float32[np.ndarray, "*shape"] = values * _SCALE
-    np.rint(on_grid, out=on_grid)
-    on_grid /= _SCALE
-    return on_grid
+    # Scaling by a power of two is exact.
+    small = np.rint(np.clip(values, -2.0, 2.0) * _SCALE) / _SCALE
+    return np.where(np.abs(values) < 2.0, small, values)
 
 
 def _field(name: str, kind: Any) -> pa.Field:
