@@ -18,7 +18,7 @@ from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
-from motionkit.core.skeleton import SMPL22, Skeleton
+from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import parse_fps
 from motionkit.io import body_frame, npy, source_file
 from motionkit.io.registry import FileHead, Format, ReadOptions, SourceItem
@@ -31,6 +31,7 @@ from motionkit.io.smpl_body import (
     SMPLX,
     PoseLayout,
     mean_shape_skeleton,
+    posed_motion,
     posed_skeleton,
     rests_as_smpl,
 )
@@ -69,19 +70,12 @@ def read_amass(item: SourceItem, options: ReadOptions) -> Motion:
     poses, layout = _read_poses(archive, family)
     trans = archive.numbers("trans", (len(poses), 3))
     fps, stated, operations = framerate_of(archive, FRAMERATE_KEYS, options, "--fps-rules or --fps gives it")
-    skeleton, origin = _skeleton(archive, layout, LAYOUTS.get(family, SMPLH), options)
-    rotations = kinematics.rotation_vector_to_quaternion(poses[:, : 3 * skeleton.num_joints].reshape(len(poses), -1, 3))
-    root = trans + skeleton.offsets[0]
-    frames = body_frame.sampled_frames(len(poses))
-    sample = kinematics.forward_kinematics(rotations[frames], root[frames], skeleton)
-    axis = options.up or body_frame.infer_up(SMPL22, sample[:, : SMPL22.num_joints], ("z", "y"))
-    rotations[:, 0] = kinematics.quaternion_multiply(body_frame.turn_of(axis), rotations[:, 0])
-    root = body_frame.to_y_up(root, axis)
-    lines = (*operations, *origin, *body_frame.log_lines(axis, options.up))
+    body = _skeleton(archive, layout, LAYOUTS.get(family, SMPLH), options)
+    vectors = poses[:, : 3 * body[0].num_joints].reshape(len(poses), -1, 3)
+    rotations = kinematics.rotation_vector_to_quaternion(vectors)
     subject = "" if path.parent == item.root else path.parent.name
-    return source_file.motion_of(
-        path, data, "amass", skeleton, fps, lines, rotations=rotations, root=root, subject=subject, stated_fps=stated
-    )
+    source = source_file.provenance(path, data, "amass", operations, stated_fps=stated, subject=subject)
+    return posed_motion(rotations, trans, body, fps, options.up, source, axes=("z", "y"))
 
 
 def _read_poses(archive: npy.Archive, family: str) -> tuple[Float32[np.ndarray, "frames values"], PoseLayout]:

@@ -12,7 +12,7 @@ import numpy as np
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
 from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float, Float32, Int64
+from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, family_unit_metres, joint_map, rest_positions
 
@@ -221,12 +221,6 @@ def upright(
     return (joint_positions if up == "y" else to_y_up(joint_positions, up)), log_lines(up, given)
 
 
-def sampled_frames(num_frames: int) -> Int64[np.ndarray, "sampled"]:
-    """The indices of the frames that `infer_up` looks at."""
-    number = min(num_frames, SAMPLED_FRAMES)
-    return np.arange(number) * (num_frames - 1) // max(number - 1, 1)
-
-
 def infer_up(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"], axes: Sequence[str]) -> str:
     """The one of `axes` (y, z, −y) that points up in a motion; the first is the expected one, also for unknown joints.
 
@@ -235,7 +229,8 @@ def infer_up(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames jo
     keeps to one height over the floor along it, and feet do not keep to a floor along the other one.
     """
     expected, *others = axes
-    positions = joint_positions[sampled_frames(len(joint_positions))]
+    number = min(len(joint_positions), SAMPLED_FRAMES)
+    positions = joint_positions[np.linspace(0, len(joint_positions) - 1, number).astype(np.int64)]
     try:
         vectors = body_axis(skeleton, positions)
     except SkeletonMapError:

@@ -56,10 +56,10 @@ def read_character(path: Path, options: ReadOptions) -> Character:
         rest = None if stands(skeleton) else np.asarray(document.local_rotations[0], np.float64)
     elif suffix == ".glb":
         rig = read_rig(path, options)
-        skeleton, rest, write = rig.skeleton, rig.rest, rig.write
+        skeleton, rest, write = rig.skeleton, None, rig.write
     else:
         raise UsageError(f"{path}: a character is a .bvh or a .glb file (Blender exports both)")
-    if rest is not None and not stands(standing_skeleton(skeleton, rest)):
+    if not stands(skeleton if rest is None else standing_skeleton(skeleton, rest)):
         raise MotionkitError(f"{path}: neither its rest pose nor its first frame stands upright: put a T-pose first")
     return Character(skeleton, rest, suffix, write)
 

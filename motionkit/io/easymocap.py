@@ -17,9 +17,11 @@ from motionkit.core.errors import FormatError
 from motionkit.core.files import parse_json
 from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
-from motionkit.io import markers, smpl, source_file
+from motionkit.io import markers, source_file
 from motionkit.io.body_frame import upright
 from motionkit.io.registry import Format, ReadOptions, ScanResult, SourceItem
+from motionkit.io.smpl import neutral_body
+from motionkit.io.smpl_body import posed_motion
 
 OPENPOSE_NAMES = (
     "Nose Neck RShoulder RElbow RWrist LShoulder LElbow LWrist MidHip RHip RKnee RAnkle LHip LKnee LAnkle REye LEye "
@@ -105,7 +107,8 @@ def read_easymocap(item: SourceItem, options: ReadOptions) -> Motion:
     body = poses[:, poses.shape[1] - 69 :][:, :63]
     vectors = np.concatenate((turn, body), axis=1).reshape(len(poses), -1, 3)
     rotations = kinematics.rotation_vector_to_quaternion(vectors)
-    return smpl.motion_of(rotations, move, shapes[0], fps, options, path, provenance, turns_about_origin=True)
+    smpl_body = neutral_body(rotations.shape[1], shapes[0], options)
+    return posed_motion(rotations, move, smpl_body, fps, options.up, provenance, turns_about_origin=True)
 
 
 FORMAT = Format(name="easymocap", read=read_easymocap, claims=claims, find=find, turns_up=True)

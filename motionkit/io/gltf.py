@@ -254,10 +254,10 @@ def _extras(motion: Motion) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class GltfRig:
-    """A character's .glb: unchanged `document` and `binary`, the node of each joint, the joints' rotations at rest.
+    """A character's .glb: unchanged `document` and `binary`, the node of each joint, rotations of the rest pose.
 
-    `carrier` (4 × 4) is the transform of the root's parent nodes; `above` of a joint is the rotation of the nodes
-    between it and its parent joint.
+    `rest` are the world rotations of the joints' nodes, `above` those of the nodes directly above them; `carrier`
+    (4 × 4) is the transform of the node above the root. The skeleton's rest pose has identity rotations.
     """
 
     document: dict[str, Any]
@@ -271,8 +271,8 @@ class GltfRig:
     def write(self, motion: Motion, path: Path) -> None:
         """The same file with this motion of its skeleton in place of its animations, the first frame at 0 s."""
         assert motion.local_rotations is not None and motion.root_translation is not None
-        back = kinematics.quaternion_conjugate(self.above)
-        turns = kinematics.quaternion_multiply(back[None], motion.local_rotations.astype(np.float64))
+        turns = kinematics.quaternion_multiply(motion.local_rotations.astype(np.float64), self.rest)
+        turns = kinematics.quaternion_multiply(kinematics.quaternion_conjugate(self.above), turns)
         turns = kinematics.continuous_quaternions(turns)[..., [1, 2, 3, 0]].astype(np.float32)
         places = motion.root_translation.astype(np.float64) - self.carrier[:3, 3]
         places = (places @ np.linalg.inv(self.carrier[:3, :3]).T).astype(np.float32)
@@ -336,28 +336,21 @@ def _joints(document: dict[str, Any]) -> tuple[list[int], list[int], dict[int, l
 def _rig(document: dict[str, Any], binary: bytes, options: ReadOptions) -> GltfRig:
     if not document["skins"]:
         raise ValueError("no skin")
-    nodes: list[dict[str, Any]] = document["nodes"]
     order, parents, chains = _joints(document)
-    world = {node: matrices[0] for node, matrices in _world(nodes, order, chains, {}).items()}
-    uppers = [next(iter(chains[joint]), -1) for joint in order]
-    matrices, upper_matrices = (np.array([world[node] for node in each]) for each in (order, uppers))
-    turns, upper_turns = (_rotations(each) for each in (matrices, upper_matrices))
-    if (np.linalg.det(turns) < 0).any():
+    world = _world(document["nodes"], order, chains, {})
+    matrices = np.concatenate([world[joint] for joint in order])
+    above = np.concatenate([world[next(iter(chains[joint]), -1)] for joint in order])
+    rest, rest_above = _rotations(matrices), _rotations(above)
+    if (np.linalg.det(rest) < 0).any():
         raise ValueError("a node that mirrors")
-    # Relative to the parent joint, across any nodes in between.
-    parent_turns, places = turns[np.maximum(parents, 0)], matrices[:, :3, 3]
-    offsets = places - places[np.maximum(parents, 0)]
-    root = parents.index(-1)
-    parent_turns[root], offsets[root] = np.eye(3), places[root]
-    back = parent_turns.swapaxes(-1, -2)
     return GltfRig(
         document,
         binary,
-        _skeleton(nodes, order, parents, (back @ offsets[..., None])[..., 0], options),
+        _skeleton(document["nodes"], order, parents, matrices, options),
         tuple(order),
-        kinematics.matrix_to_quaternion(back @ turns),
-        kinematics.matrix_to_quaternion(back @ upper_turns),
-        upper_matrices[root],
+        kinematics.matrix_to_quaternion(rest),
+        kinematics.matrix_to_quaternion(rest_above),
+        above[0],
     )
 
 
@@ -365,10 +358,13 @@ def _skeleton(
     nodes: list[dict[str, Any]],
     order: list[int],
     parents: list[int],
-    offsets: Float64[np.ndarray, "joints 3"],
+    rest: Float64[np.ndarray, "joints 4 4"],
     options: ReadOptions,
 ) -> Skeleton:
+    """The skeleton of joints with these transforms at rest, whose rotations are identities there."""
     names = unique_names([str(nodes[joint].get("name", f"node {joint}")) for joint in order])[0]
+    places = rest[:, :3, 3]
+    offsets = places - np.where(np.array(parents)[:, None] < 0, 0.0, places[np.maximum(parents, 0)])
     skeleton = Skeleton(rig_name(names), names, tuple(parents), offsets.astype(np.float32))
     return with_layout_map(skeleton, options.skeleton_maps)
 
@@ -417,12 +413,9 @@ def _motion(document: dict[str, Any], binary: bytes, data: bytes, path: Path, op
     rest_matrices = np.concatenate([rest[joint] for joint in order])
     # A joint's turn is from its rest pose, in which all of them are thus identities.
     turns = _rotations(matrices) @ _rotations(rest_matrices).swapaxes(-1, -2)
-    places = rest_matrices[:, :3, 3]
-    above = np.maximum(parents, 0)
-    offsets = places - np.where(np.array(parents)[:, None] < 0, 0.0, places[above])
-    skeleton = _skeleton(nodes, order, parents, offsets, options)
+    skeleton = _skeleton(nodes, order, parents, rest_matrices, options)
     positions = matrices[..., :3, 3].astype(np.float32)
-    local = np.concatenate((turns[:, :1], turns[:, above[1:]].swapaxes(-1, -2) @ turns[:, 1:]), axis=1)
+    local = np.concatenate((turns[:, :1], turns[:, parents[1:]].swapaxes(-1, -2) @ turns[:, 1:]), axis=1)
     rotations = kinematics.matrix_to_quaternion(local).astype(np.float32)
     reached = kinematics.forward_kinematics(rotations, positions[:, 0], skeleton)
     is_rigid = np.abs(reached - positions).max() <= RIGID_METRES

@@ -98,18 +98,22 @@ def matrices_of(
     return np.asarray(matrices.swapaxes(-1, -2)) if form == "rows" else matrices
 
 
-def with_rotations(motion: Motion, local_matrices: Float[np.ndarray, "frames joints 3 3"]) -> Motion:
-    """The motion with rotations, given as matrices relative to the parent, and the bones that fit them.
+def with_rotations(
+    motion: Motion, matrices: Float[np.ndarray, "frames joints 3 3"], *, is_global: bool = False
+) -> Motion:
+    """The motion with rotations, given as matrices relative to the parent or the world, and the bones that fit them.
 
     If a matrix is not a rotation, or a position is missed by more than 2 mm, the motion is unchanged except for a line
     in its log.
     """
-    error = float(np.abs(np.einsum("tjki,tjkl->tjil", local_matrices, local_matrices) - np.eye(3)).max())
-    if error > MAX_MATRIX_ERROR or (np.linalg.det(local_matrices) < 0).any():
+    error = float(np.abs(np.einsum("tjki,tjkl->tjil", matrices, matrices) - np.eye(3)).max())
+    if error > MAX_MATRIX_ERROR or (np.linalg.det(matrices) < 0).any():
         return motion.logged(f"positions only: a matrix is off a rotation by {error:.2g}, or mirrors")
-    local_rotations = kinematics.matrix_to_quaternion(local_matrices)
     skeleton, positions = motion.skeleton, motion.joint_positions
     above = skeleton.parents_or_self
+    if is_global:
+        matrices = np.concatenate((matrices[:, :1], (matrices[:, above].swapaxes(-1, -2) @ matrices)[:, 1:]), axis=1)
+    local_rotations = kinematics.matrix_to_quaternion(matrices)
     world = kinematics.global_rotations(local_rotations, skeleton)[:, above]
     bones = kinematics.quaternion_rotate(kinematics.quaternion_conjugate(world), positions - positions[:, above])
     offsets = np.median(bones, axis=0).astype(np.float32)

@@ -98,9 +98,7 @@ def read_kimodo(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     if ROTATIONS not in archive:
         return motion
     matrices = archive.numbers(ROTATIONS, (*positions.shape[:2], 3, 3))
-    local = np.einsum("tjki,tjkl->tjil", matrices[:, skeleton.parents_or_self], matrices)
-    local[:, 0] = matrices[:, 0]
-    return joint_rotations.with_rotations(motion, local)
+    return joint_rotations.with_rotations(motion, matrices, is_global=True)
 
 
 FORMAT = Format(

@@ -9,7 +9,6 @@ are root 3, body 63, hands 90, jaw 3, expression 50, face shape 100, translation
 (https://github.com/IDEA-Research/Motion-X).
 """
 
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -17,15 +16,14 @@ import numpy as np
 
 from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.core.motion import Motion, Provenance
+from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
-from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import TimeGrid
-from motionkit.io import body_frame, npy, source_file
+from motionkit.core.skeleton import Skeleton
+from motionkit.io import npy, source_file
 from motionkit.io.amass import FRAMERATE_KEYS, check_radians, framerate_of
 from motionkit.io.joint_rotations import MAX_MATRIX_ERROR
 from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
-from motionkit.io.smpl_body import BODY, SMPL, SMPLX, posed_skeleton
+from motionkit.io.smpl_body import BODY, SMPL, SMPLX, posed_motion, posed_skeleton
 
 Rotations = Float32[np.ndarray, "frames joints 4"]
 
@@ -71,7 +69,9 @@ def read_smpl(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     advice = "--fps gives the video's (GVHMR's results have 30)"
     fps, stated, lines = framerate_of(archive, ("fps", *FRAMERATE_KEYS), options, advice)
     source = source_file.provenance(path, data, "smpl", lines, stated_fps=stated)
-    return motion_of(rotations, translation, betas, fps, options, path, source)
+    return posed_motion(
+        rotations, translation, neutral_body(rotations.shape[1], betas, options), fps, options.up, source
+    )
 
 
 def read_motion_x(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
@@ -82,7 +82,8 @@ def read_motion_x(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     fps = options.fps or MOTION_X_FPS
     lines = source_file.replaced_fps(fps, MOTION_X_FPS, who="the data set")
     source = source_file.provenance(path, data, "motion-x", lines, stated_fps=str(MOTION_X_FPS))
-    return motion_of(rotations, values[:, TRANSLATION], values[0, BETAS], fps, options, path, source)
+    body = neutral_body(BODY.num_joints, values[0, BETAS], options)
+    return posed_motion(rotations, values[:, TRANSLATION], body, fps, options.up, source)
 
 
 def _values(archive: npy.Archive, key: str) -> Float32[np.ndarray, "..."]:
@@ -127,45 +128,12 @@ def _wrong(path: Path, message: str) -> FormatError:
     return FormatError(message, path=path, reason="channel-count")
 
 
-def motion_of(
-    rotations: Rotations,
-    translation: Float32[np.ndarray, "*frames 3"] | None,
-    betas: Float32[np.ndarray, "betas"],
-    fps: Fraction,
-    options: ReadOptions,
-    path: Path,
-    source: Provenance,
-    *,
-    turns_about_origin: bool = False,
-) -> Motion:
-    """The motion of a body of 22 or 24 joints, turned to y up; decisions are added to its log.
-
-    SMPL's body turns about its pelvis at rest, J₀, or about the origin, so that J₀ turns too.
-    """
-    layout = LAYOUTS[rotations.shape[1]]
-    skeleton, origin = posed_skeleton(options.body_models, layout, SMPLX if layout is BODY else SMPL, "neutral", betas)
-    lines = [*source.operations, *origin]
-    if translation is None:
-        lines.append("no translation in the file: the pelvis stays in place")
-        translation = np.zeros((len(rotations), 3), np.float32)
-    local = rotations[:, : skeleton.num_joints].copy()
-    pelvis = skeleton.offsets[0]
-    root = translation.reshape(-1, 3) + (
-        kinematics.quaternion_rotate(local[:, 0], pelvis) if turns_about_origin else pelvis
-    )
-    positions = kinematics.forward_kinematics(local, root, skeleton)
-    axis = options.up or body_frame.infer_up(SMPL22, positions[:, : SMPL22.num_joints], ("y", "z", "-y"))
-    lines += body_frame.log_lines(axis, options.up)
-    motion = Motion(
-        joint_positions=positions,
-        skeleton=skeleton,
-        timegrid=TimeGrid(fps, len(local)),
-        local_rotations=local,
-        root_translation=root,
-        sequence_id=path.stem,
-        provenance=replace(source, operations=tuple(lines)),
-    )
-    return body_frame.turned(motion, axis)
+def neutral_body(
+    num_joints: int, betas: Float32[np.ndarray, "betas"], options: ReadOptions
+) -> tuple[Skeleton, list[str]]:
+    """The neutral body of poses of 22 or 24 joints (`posed_skeleton`)."""
+    layout = LAYOUTS[num_joints]
+    return posed_skeleton(options.body_models, layout, SMPLX if layout is BODY else SMPL, "neutral", betas)
 
 
 FORMAT = Format(name="smpl", read=of_path(read_smpl), suffixes=(".npz",), accepts=accepts, turns_up=True)

@@ -4,18 +4,21 @@ Names are those of the `smplx` package's joint lists without its suffix for eyes
 root, body, jaw, eyes, hands. Source: https://github.com/nghorbani/amass and https://github.com/vchoutas/smplx.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
+from motionkit.core import kinematics
 from motionkit.core.errors import FormatError
-from motionkit.core.motion import Motion
-from motionkit.core.shapes import Float, Float64
+from motionkit.core.motion import Motion, Provenance
+from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
-from motionkit.io import npy, source_file
+from motionkit.core.timegrid import TimeGrid
+from motionkit.io import body_frame, npy, source_file
 
 FINGERS = tuple(f"{finger}{bone}" for finger in ("index", "middle", "pinky", "ring", "thumb") for bone in (1, 2, 3))
 HANDS = tuple(f"{side}_{joint}" for side in ("left", "right") for joint in FINGERS)
@@ -185,3 +188,35 @@ def posed_skeleton(
     fallback = "" if model.gender == gender else f" (the file's gender: {gender or 'unknown'})"
     line = f"joints: {model.family} {model.gender}{fallback}, {used} betas"
     return layout.skeleton(f"{model.family}-{model.gender}", rest), [line]
+
+
+def posed_motion(
+    rotations: Float32[np.ndarray, "frames joints 4"],
+    translation: Float32[np.ndarray, "*frames 3"] | None,
+    body: tuple[Skeleton, list[str]],
+    fps: Fraction,
+    up: str,
+    source: Provenance,
+    *,
+    axes: Sequence[str] = ("y", "z", "-y"),
+    turns_about_origin: bool = False,
+) -> Motion:
+    """The motion of a body (`posed_skeleton`) in metres, turned to y up; decisions are added to its log.
+
+    `up` is the given axis; empty, it is inferred among `axes`. SMPL's body turns about its pelvis at rest, J₀, or about
+    the origin, so that J₀ turns too. Without a translation the pelvis stays in place.
+    """
+    skeleton, lines = body
+    if translation is None:
+        lines = [*lines, "no translation in the file: the pelvis stays in place"]
+        translation = np.zeros((len(rotations), 3), np.float32)
+    local, pelvis = rotations[:, : skeleton.num_joints], skeleton.offsets[0]
+    root = translation.reshape(-1, 3) + (
+        kinematics.quaternion_rotate(local[:, 0], pelvis) if turns_about_origin else pelvis
+    )
+    positions = kinematics.forward_kinematics(local, root, skeleton)
+    axis = up or body_frame.infer_up(SMPL22, positions[:, : SMPL22.num_joints], axes)
+    operations = (*source.operations, *lines, *body_frame.log_lines(axis, up))
+    source, name = replace(source, operations=operations), Path(source.source_path).stem
+    motion = Motion(positions, skeleton, TimeGrid(fps, len(local)), local, root, sequence_id=name, provenance=source)
+    return body_frame.turned(motion, axis)

@@ -93,17 +93,15 @@ def read_vectors(path: Path, options: ReadOptions, layout: VectorLayout) -> Moti
         positions = kinematics.forward_kinematics(local, root, skeleton)
     else:
         positions = _positions(values, root, layout, matrices)
-    if matrices is not None and layout.is_global:
-        local_matrices = np.matmul(matrices[:, skeleton.parents_or_self].swapaxes(-1, -2), matrices)
-        local_matrices[:, 0] = matrices[:, 0]
-        matrices = local_matrices
     if skeleton is not SMPL22:
         skeleton = replace(skeleton, offsets=positions[0] - positions[0, skeleton.parents_or_self])
     positions = positions * np.float32(options.unit_metres or 1.0)
     up = options.up or layout.up
     lines = body_frame.log_lines(up, options.up)
     motion = pose_vectors.motion_of(path, data, positions, skeleton, usual, layout.name, options, *lines)
-    return body_frame.turned(motion if matrices is None else joint_rotations.with_rotations(motion, matrices), up)
+    if matrices is not None:
+        motion = joint_rotations.with_rotations(motion, matrices, is_global=layout.is_global)
+    return body_frame.turned(motion, up)
 
 
 def _positions(
