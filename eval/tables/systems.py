@@ -22,8 +22,8 @@ from eval.sets.sets import REAL, TRAINING_TAKES, Missing, RowId, SampleSet, Vari
 from eval.tables.table import EvalConfig, name_and_fps
 from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError, counted
 from motionkit.core.progress import task, tracked
-from motionkit.data.reconstruction import ReconstructsWindows
 from motionkit.edit.encoders import installed_encoders
+from motionkit.fields.detail import detailed
 from motionkit.fields.motion_field import MotionEncoder, MotionField
 from motionkit.generate.models import GenerativeModel, installed_models
 from motionkit.store.reader import Store
@@ -80,11 +80,6 @@ class Trained(Generic[T]):
         return self.loader.load(self.run)
 
     @property
-    def identity(self) -> dict[str, str]:
-        """Hexadecimal sha256 of the models of its stages."""
-        return RunFolder(self.run).fingerprints(self.loader.stages)
-
-    @property
     def note(self) -> str:
         """How a model was trained, by its stages' summaries: steps, parameters, processor time, framerate."""
         efforts = {name: RunFolder(self.run).stage(name).effort() for name in self.loader.stages}
@@ -107,9 +102,9 @@ def trained_models(run: Path | None, missing: Missing) -> dict[str, TrainedModel
 
     Without a run there are none, and none is missing.
     """
-    found: dict[str, TrainedModel] = {}
+    models: dict[str, TrainedModel] = {}
     if run is None:
-        return found
+        return models
     for loader in installed_models().values():
         try:
             if not run.is_dir():
@@ -117,26 +112,26 @@ def trained_models(run: Path | None, missing: Missing) -> dict[str, TrainedModel
             if not loader.begun_in(run):
                 raise RunError(f"run {run.name!r} has none ({loader.train_command(run)})")
             model = Trained(loader, run)
-            if (name := model.loaded.name) in found:
+            if (name := model.loaded.name) in models:
                 raise RunError(f"another model of the run is called {name!r} too")
-            found[name] = model
+            models[name] = model
         except DamagedFileError:
             raise
         except MotionkitError as error:
             missing.add(f"{loader.title}: {error}")
-    return found
+    return models
 
 
 def require_models(run: Path | None, what: str, missing: Missing) -> dict[str, TrainedModel]:
     """As `trained_models`; raises `UsageError` without a run, `RunError` if it holds no model."""
     if run is None:
         raise UsageError(f"{what} needs trained systems: --run NAME (motionkit train --for {what.replace(' ', ':')})")
-    found = trained_models(run, missing)
-    if not found:
+    models = trained_models(run, missing)
+    if not models:
         begun = any(loader.begun_in(run) for loader in installed_models().values())
         why = "; ".join(missing.lines) if begun else f"motionkit train --for table:2 --run {run.name}"
         raise RunError(f"{str(run)!r} holds no trained system: {why}")
-    return found
+    return models
 
 
 def trained_reconstructors(run: Path) -> dict[str, Trained[MotionEncoder]]:
@@ -150,16 +145,6 @@ def trained_reconstructors(run: Path) -> dict[str, Trained[MotionEncoder]]:
         commands = " or ".join(loader.train_command(run) for loader in loaders) or "none is installed"
         raise RunError(f"run {run.name!r} holds no model that reconstructs windows of motion: {commands}")
     return {each.loaded.name: each for each in held}
-
-
-def reconstructor(trained: Trained[MotionEncoder], store: Store) -> ReconstructsWindows:
-    """An encoder that reconstructs windows of this store; raises `UsageError` for any other."""
-    encoder = trained.loaded
-    if not isinstance(encoder, ReconstructsWindows):
-        raise UsageError(f"{trained.loader.title} doesn't reconstruct windows of motion")
-    if encoder.store_fingerprint != store.fingerprint:
-        raise UsageError(f"{encoder.name} of {trained.run} was trained on another state of the store: train again")
-    return encoder
 
 
 def generated_fields(config: EvalConfig, real: SampleSet) -> tuple[ModelFields, dict[str, str]]:
@@ -185,7 +170,10 @@ def generated_fields(config: EvalConfig, real: SampleSet) -> tuple[ModelFields, 
             standing = motions.planted_fields(fields)
             rows |= {RowId(name): fields, RowId(name, Variant.PLANTED): standing}
             if detail is not None and not motions.is_framed(fields):
-                rows[RowId(name, Variant.DETAILED)] = motions.detailed_fields(standing, detail, config.seed)
+                rows[RowId(name, Variant.DETAILED)] = {
+                    window: detailed(field, detail, seed=config.seed, number=number)
+                    for number, (window, field) in enumerate(standing.items())
+                }
     return rows, {name: model.note for name, model in models.items()}
 
 
@@ -278,11 +266,11 @@ def samples_at(real: RealMotion, fps: Fraction, config: EvalConfig) -> dict[RowI
         takes = takes_of_samples(folder, real)
         if any(takes) and "" in takes:
             config.missing.add(f"{folder.name}: {counted(takes.count(''), 'motion')} for none of the compared takes")
-        found = samples_of_takes(every, takes, real.at(fps))
-        if found is None:
+        samples = samples_of_takes(every, takes, real.at(fps))
+        if samples is None:
             config.missing.add(f"{folder.name}, {label(fps)}: {NOT_SO_FAST}")
         else:
-            rows |= {RowId(name): found, RowId(name, Variant.PLANTED): motions.planted_set(found)}
+            rows |= {RowId(name): samples, RowId(name, Variant.PLANTED): motions.planted_set(samples)}
     return rows
 
 
@@ -385,7 +373,7 @@ class Yardstick:
         for fps, comparison in self.comparisons.items():
             for row, cell in score_column(comparison, {P1: comparison.real}, self.config.missing)[0].items():
                 cells[row][label(fps)] = cell
-        return [Row(str(row), "reference", found, ROW_NOTES[row]) for row, found in cells.items()]
+        return [Row(str(row), "reference", by_column, ROW_NOTES[row]) for row, by_column in cells.items()]
 
     def windows(self, model: GenerativeModel) -> list[Window]:
         """Requests with the real sequences' durations and conditions."""
@@ -394,8 +382,8 @@ class Yardstick:
     def sets(self, row: RowId, fields: Mapping[Window, MotionField]) -> dict[Fraction, SampleSet]:
         """A row's motions at every framerate."""
         missing, by_fps = self.config.missing, self.comparisons.items()
-        found = {fps: generated_at({row: fields}, each.real, fps, missing) for fps, each in by_fps}
-        return {fps: own[row] for fps, own in found.items() if own}
+        rows = {fps: generated_at({row: fields}, each.real, fps, missing) for fps, each in by_fps}
+        return {fps: own[row] for fps, own in rows.items() if own}
 
     def clip_fid(self, row: RowId, sets: Mapping[Fraction, SampleSet]) -> dict[str, Cell]:
         """clip-FID of a row's motions by column."""
