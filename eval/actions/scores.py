@@ -13,10 +13,9 @@ from eval.metrics.number import (
     Resampled,
     Resampling,
     Scores,
-    Units,
     resampled_fid,
     resampled_mean_distance,
-    units_of,
+    units_of_draws,
     weighted_means,
 )
 from motionkit.core.errors import UsageError
@@ -77,11 +76,11 @@ def score_actions(
 ) -> Scores:
     """Accuracy, FID, Diversity and MultiModality of generated (or real) motions under a protocol.
 
-    `references` are features of real motions by set: "train" and "test" give `fid_train` and `fid_test`, "" gives
-    `fid`. `draws` are independent sets of motions, each with its own seed; replication r uses draw r modulo their
-    number. With fewer draws than replications the interval covers less than the protocol intends, which a remark
-    states. If a draw has more motions than the protocol uses, each replication takes a random subset. Raises
-    `ValueError` for different numbers of features, or for non-finite values.
+    `references` are features of real motions by set: "train" and "test" give `fid_train` and `fid_test`. `draws` are
+    independent sets of motions, each with its own seed; replication r uses draw r modulo their number. With fewer draws
+    than replications the interval covers less than the protocol intends, which a remark states. If a draw has more
+    motions than the protocol uses, each replication takes a random subset. Raises `ValueError` for different numbers of
+    features, or for non-finite values.
     """
     scores = Scores(remarks=list(protocol.remarks))
     # As in `fid`: one thread of the linear algebra library is the fastest for matrices of this size.
@@ -101,7 +100,7 @@ def score_actions(
             features, labels = motions.features, motions.labels
             scores.add("accuracy", accuracy(motions.scores, labels))
             for name, gaussian in gaussians.items():
-                scores.add(f"fid_{name}" if name else "fid", frechet_distance(gaussian, fit_gaussian(features)))
+                scores.add(f"fid_{name}", frechet_distance(gaussian, fit_gaussian(features)))
             replace = protocol.pairs == "with replacement"
             suffix = "_with_replacement" if replace else ""
             scores.add(f"diversity{suffix}", diversity(features, rng, protocol.diversity_pairs, replace=replace))
@@ -109,7 +108,7 @@ def score_actions(
             scores.add(f"multimodality_by_class{suffix}", spread)
         scores.resampled |= _resampled(references, draws, protocol)
     scores.remark_on_draws(len(draws), protocol.replications)
-    scores.sizes = {f"real ({name})" if name else "real": len(features) for name, features in references.items()}
+    scores.sizes = {f"real ({name})": len(features) for name, features in references.items()}
     counted = min(len(draws[0].labels), protocol.num_motions or len(draws[0].labels))
     scores.sizes |= {"generated": counted, "draws": len(draws)}
     return scores
@@ -119,24 +118,19 @@ def _resampled(
     references: Mapping[str, Features], draws: Sequence[Recognition], protocol: ActionProtocol
 ) -> dict[str, Resampled]:
     """Every metric's bootstrap values; motions are resampled jointly in all sets, and with them their draws."""
-    takes = [str(row) for draw in draws for row in range(len(draw.labels))]
-    number = [which for which, draw in enumerate(draws) for _ in draw.labels]
-
-    def units_in(blocks: int | None) -> Units:
-        return units_of(takes, number if len(draws) > 1 else (), blocks)
-
-    units = units_in(None)
+    takes = [[str(row) for row in range(len(draw.labels))] for draw in draws]
+    units = units_of_draws(takes)
     weights, unit = units.weights(Resampling()), units.unit
     features = np.concatenate([draw.features for draw in draws]).astype(np.float64)
     labels = np.concatenate([draw.labels for draw in draws])
     shares = np.concatenate([shares_of_hits(draw.scores, draw.labels) for draw in draws])
     suffix = "" if protocol.pairs == "different" else "_with_replacement"
-    found = {
+    values = {
         "accuracy": weighted_means(shares, unit, weights),
         f"diversity{suffix}": resampled_mean_distance(features, unit, weights),
         f"multimodality_by_class{suffix}": resampled_mean_distance(features, unit, weights, labels),
     }
     for name, real in references.items():
         names = [str(row) for row in range(len(real))]
-        found[f"fid_{name}" if name else "fid"] = resampled_fid(real.astype(np.float64), names, features, units_in)
-    return found
+        values[f"fid_{name}"] = resampled_fid(real.astype(np.float64), names, features, takes)
+    return values

@@ -208,8 +208,6 @@ class Channels:
 
 def channels(positions: Float[np.ndarray, "frames joints 3"], fps: Fraction) -> Channels:
     """Channels of one motion of the 22 joints of `SMPL22`, in metres, y up."""
-    if positions.shape[1] != NUM_JOINTS:
-        raise ValueError(f"motions have {positions.shape[1]} joints; the descriptor is defined on {NUM_JOINTS}")
     rate, group_means = float(fps), GROUP_MEANS[::3]
     spectrum = Spectrum.of(positions.reshape(len(positions), -1).astype(np.float64), rate)
     slow = spectrum.below(SLOW_HZ).reshape(positions.shape)
@@ -446,13 +444,13 @@ def describer(samples: SampleSet, features: KinematicDescriptor | FeatureSet) ->
     return describe
 
 
-def fit_on(train: SampleSet, seed: int = 0) -> KinematicDescriptor:
+def fit_on(train: SampleSet) -> KinematicDescriptor:
     """Fit the kinematic descriptor on random takes of a training set, and standardise it on clips of them.
 
     A component's sign is fixed by its largest coordinate, so that the fit does not depend on the linear algebra
     library.
     """
-    order = np.random.default_rng((seed, FIT_REPLICATION)).permutation(train.num_sequences)
+    order = np.random.default_rng((0, FIT_REPLICATION)).permutation(train.num_sequences)
     passed = np.cumsum(train.sequences.num_frames[order])
     order = order[: 1 + int(np.searchsorted(passed, FIT_FRAMES))]
     some = train.select(order)
@@ -465,7 +463,7 @@ def fit_on(train: SampleSet, seed: int = 0) -> KinematicDescriptor:
     components = np.ascontiguousarray(components * np.sign(largest))
     fitted = KinematicDescriptor(train.fps, pose_mean, components, np.zeros(NUM_FEATURES), np.ones(NUM_FEATURES))
     sums = Ragged.of(list(map(fitted.sums_of, motions)), np.float64)
-    described = fitted.describe(sums, draw_clips(some, Protocol(num_clips=FIT_CLIPS, seed=seed), FIT_REPLICATION, REAL))
+    described = fitted.describe(sums, draw_clips(some, Protocol(num_clips=FIT_CLIPS), FIT_REPLICATION, REAL))
     sizes, weights, least = np.array(list(BLOCKS.values())).T
     weight, least_spread = (np.repeat(each, sizes.astype(int)) for each in (np.sqrt(weights / sizes), least))
     scale = weight / np.maximum(described.std(axis=0), least_spread)
@@ -513,14 +511,13 @@ class Comparison:
         `on_replication` is called after each replication. For rows in `subset_sizes` every replication takes another
         random subset of up to that many sequences that hold the largest clips; their interval is 1.96 standard
         deviations of single subsets, not of their mean. Raises `ClipError` if clips do not fit or the real set's
-        features are constant, and `ValueError` for different framerates.
+        features are constant, and what the features raise for another framerate.
         """
         subsets, real, protocol = subset_sizes or {}, self.real, self.protocol
-        describers = {}
-        for name, samples in rows.items():
-            if samples.fps != real.fps:
-                raise ValueError(f"{samples.name} is at {samples.fps} fps, the real set at {real.fps}")
-            describers[name] = self._describe_real if samples is real else describer(samples, self.features)
+        describers = {
+            name: self._describe_real if samples is real else describer(samples, self.features)
+            for name, samples in rows.items()
+        }
         resampled = [
             name
             for name, samples in rows.items()
@@ -529,8 +526,7 @@ class Comparison:
         by_take = []
         for samples in (real, *(rows[name] for name in resampled)):
             blocks = blocks_for(max(real.num_takes, samples.num_takes), self.centre.size)
-            units = units_of(samples.take_names, samples.generations, blocks)
-            by_take.append((UnitSums(len(units.takes), self.centre), units))
+            by_take.append(UnitSums(units_of(samples.take_names, samples.generations, blocks), self.centre))
 
         def replicate(replication: int) -> tuple[dict[RowKey, dict[str, float]], list[tuple[Clips, Features]]]:
             clips = draw_clips(real, protocol, replication, REAL)
@@ -555,11 +551,11 @@ class Comparison:
         for scores, described in in_threads(replicate, range(protocol.replications), num_clips * (1 + len(rows))):
             for name, each in scores.items():
                 replications[name].append(each)
-            for (sums, units), (clips, features) in zip(by_take, described, strict=True):
-                sums.add(features, units.unit[clips.sequence])
+            for sums, (clips, features) in zip(by_take, described, strict=True):
+                sums.add(features, clips.sequence)
             on_replication()
         with _blas().limit(limits=1, user_api="blas"):
-            fids = resampled_fids(*by_take[0], by_take[1:], Resampling(protocol.resamplings, protocol.seed))
+            fids = resampled_fids(by_take[0], by_take[1:], Resampling(protocol.resamplings, protocol.seed))
         of_rows = dict(zip(resampled, fids, strict=True))
         return {
             name: self._summarised(each, of_rows.get(name, ()), name in subsets) for name, each in replications.items()
@@ -614,10 +610,10 @@ class Comparison:
     def _summarised(self, replications: list[dict[str, float]], resampled: Resampled, single_sets: bool) -> Number:
         """The mean; where each replication had its own takes, with the interval of a single one."""
         by_name = {key: [scores[key] for scores in replications if key in scores] for key in replications[0]}
-        found = over_replications(by_name.pop("clip_fid"), resampled)
+        score = over_replications(by_name.pop("clip_fid"), resampled)
         if single_sets:
-            found = replace(found, ci95=float(found.drawing * np.sqrt(self.protocol.replications)))
-        return replace(found, details={name: over_replications(values).value for name, values in by_name.items()})
+            score = replace(score, ci95=float(score.drawing * np.sqrt(self.protocol.replications)))
+        return replace(score, details={name: over_replications(values).value for name, values in by_name.items()})
 
 
 @dataclass(frozen=True)
@@ -736,8 +732,8 @@ def samples_at_one_framerate(sets: Mapping[str, Motions], fps: Framerate | None)
     rates = set() if fps is None else {parse_fps(fps)}
     rates |= {motion.fps for motions in sets.values() for motion in motions if isinstance(motion, Motion)}
     if len(rates) != 1:
-        found = ", ".join(str(rate) for rate in sorted(rates)) or "none (arrays need fps=…)"
-        raise UsageError(f"motions at one framerate are compared, these have {found}: motion.resample(fps) changes it")
+        listed = ", ".join(str(rate) for rate in sorted(rates)) or "none (arrays need fps=…)"
+        raise UsageError(f"motions at one framerate are compared, these have {listed}: motion.resample(fps) changes it")
     return {name: samples_of(name, motions, *rates) for name, motions in sets.items()}
 
 

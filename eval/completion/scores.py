@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from eval.completion.encoders import Completer
-from eval.metrics.number import Number, Resampling, with_takes
+from eval.metrics.number import Number, Resampling, quotients, with_takes
 from eval.metrics.registry import find_metric
 from eval.report.results import Block, Cell, Measure, Row, cell_of, differences_block, measure, score_differences
 from eval.sets.sets import RowId
@@ -45,8 +45,7 @@ def mean_over_takes(by_take: Mapping[str, Sequence[float]]) -> Number:
     if len(by_take) < 2:
         return Number(mean)
     weights = Resampling().weights([f"take {take}" for take in by_take])
-    pairs = zip((weights @ totals).tolist(), (weights @ sizes).tolist(), strict=True)
-    return with_takes(mean, tuple(total / size if size else None for total, size in pairs))
+    return with_takes(mean, quotients(weights @ totals, weights @ sizes))
 
 
 @dataclass(frozen=True)
@@ -69,9 +68,9 @@ class Scope:
 
     def number(self, row: str, metric: str, column: str) -> Number:
         """A metric's number in the unit shown in tables."""
-        found, (factor, _) = mean_over_takes(self.rows[row][metric, column]), UNITS.get(metric, (1.0, ""))
-        resampled = tuple(None if each is None else factor * each for each in found.resampled)
-        return Number(factor * found.value, factor * found.ci95, resampled)
+        mean, (factor, _) = mean_over_takes(self.rows[row][metric, column]), UNITS.get(metric, (1.0, ""))
+        resampled = tuple(None if each is None else factor * each for each in mean.resampled)
+        return Number(factor * mean.value, factor * mean.ci95, resampled)
 
     def cells(self, row: str, metric: str, shown: Shown) -> dict[str, Cell]:
         """A row's cells of a metric's block."""

@@ -7,9 +7,10 @@ for massive data streams").
 """
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import chain
 from typing import Literal
 
 import numpy as np
@@ -70,13 +71,9 @@ class Number:
 def over_replications(values: Sequence[float], resampled: Resampled = ()) -> Number:
     """Mean over R replications ± 1.96·std(ddof 0)/√R (text-to-motion final_evaluations.py).
 
-    With resampled takes the interval is over both. Raises `ValueError` for no replications or one that is not finite.
+    With resampled takes the interval is over both.
     """
-    if not len(values):
-        raise ValueError("there are no replications to average")
     array = np.asarray(values, dtype=np.float64)
-    if not np.isfinite(array).all():
-        raise ValueError(f"a replication is not finite: {array.tolist()}")
     drawing, width = float(NORMAL_95 * array.std() / np.sqrt(array.size)), half_width(resampled)
     return Number(
         float(array.mean()), drawing if width is None else float(np.hypot(width, drawing)), resampled, drawing
@@ -113,19 +110,19 @@ class Scores:
     def remark_on_draws(self, draws: int, replications: int) -> None:
         """Add a remark on the interval if there are fewer sets of motions than replications."""
         if draws < replications:
-            there = "there is one set" if draws == 1 else f"there are {draws} sets"
-            self.remark(f"{there} of motions for {replications} replications: others would differ by more (--draws)")
+            sets = "there is one set" if draws == 1 else f"there are {draws} sets"
+            self.remark(f"{sets} of motions for {replications} replications: others would differ by more (--draws)")
 
     @property
     def values(self) -> dict[str, Number]:
-        """Every metric's number; raises `ValueError` for a replication that is not finite."""
+        """Every metric's number."""
         return {
             name: over_replications(values, self.resampled.get(name, ())) for name, values in self.replications.items()
         }
 
 
 Weights = Float64[np.ndarray, "resamplings units"]
-Counts = Float64[np.ndarray, "resamplings"]
+Counts = Float64[np.ndarray, "resamplings"] | Int64[np.ndarray, "resamplings"]
 Means = Float64[np.ndarray, "resamplings features"]
 Covariances = Float64[np.ndarray, "resamplings features features"]
 Labels = Int64[np.ndarray, "labels"]
@@ -197,21 +194,28 @@ def blocks_for(num_takes: int, num_features: int) -> int | None:
     return most if num_takes > most else None
 
 
+def units_of_draws(takes: Sequence[Sequence[str]], blocks: int | None = None) -> Units:
+    """Units of the motions of several draws, each of which names the takes of its motions."""
+    draws = [draw for draw, names in enumerate(takes) for _ in names]
+    return units_of(list(chain.from_iterable(takes)), draws if len(takes) > 1 else (), blocks)
+
+
 class UnitSums:
     """Per unit: number of feature vectors, their sum and the sum of their outer products, about `centre`."""
 
-    def __init__(self, num_units: int, centre: Float64[np.ndarray, "features"]) -> None:
-        self.centre = centre
+    def __init__(self, units: Units, centre: Float64[np.ndarray, "features"]) -> None:
+        self.units, self.centre, num_units = units, centre, len(units.takes)
         self._count = np.zeros(num_units)
         self._sum = np.zeros((num_units, centre.size))
         self._products = np.zeros((num_units, centre.size, centre.size))
 
-    def add(self, features: Float[np.ndarray, "samples features"], unit: Int64[np.ndarray, "samples"]) -> None:
-        """Add feature vectors, each of one unit."""
+    def add(self, features: Float[np.ndarray, "samples features"], motion: Int64[np.ndarray, "samples"]) -> None:
+        """Add feature vectors, each of one of the motions."""
+        unit = self.units.unit[motion]
         order = np.argsort(unit, kind="stable")
-        found, starts = np.unique(unit[order], return_index=True)
+        present, starts = np.unique(unit[order], return_index=True)
         centred = features[order] - self.centre
-        for index, rows in zip(found.tolist(), np.split(centred, starts[1:]), strict=True):
+        for index, rows in zip(present.tolist(), np.split(centred, starts[1:]), strict=True):
             self._count[index] += len(rows)
             self._sum[index] += rows.sum(axis=0)
             self._products[index] += rows.T @ rows
@@ -232,20 +236,24 @@ def weighted_means(
     num_units = weights.shape[1]
     counts = weights @ np.bincount(unit, minlength=num_units)
     sums = weights @ np.bincount(unit, values, minlength=num_units)
-    return tuple(total / count if count else None for total, count in zip(sums.tolist(), counts.tolist(), strict=True))
+    return quotients(sums, counts)
 
 
-def resampled_fids(
-    real: UnitSums, real_units: Units, others: Sequence[tuple[UnitSums, Units]], resampling: Resampling
-) -> list[Resampled]:
+def quotients(totals: Counts, counts: Counts) -> Resampled:
+    """Totals divided by counts; None where the count is 0."""
+    pairs = zip(totals.tolist(), counts.tolist(), strict=True)
+    return tuple(total / count if count else None for total, count in pairs)
+
+
+def resampled_fids(real: UnitSums, others: Sequence[UnitSums], resampling: Resampling) -> list[Resampled]:
     """FID of every other set against the real one in every resampling of their takes."""
-    weights = [units.weights(resampling) for units in (real_units, *(units for _, units in others))]
+    weights = [sums.units.weights(resampling) for sums in (real, *others)]
     rows: list[list[float | None]] = [[] for _ in others]
     for first in range(0, resampling.count, GAUSSIANS_AT_ONCE):
         real_weights, *other_weights = (each[first : first + GAUSSIANS_AT_ONCE] for each in weights)
         real_counts, real_means, real_covariances = real.gaussians(real_weights)
         factors = factors_of(real_covariances)
-        for values, (sums, _), own in zip(rows, others, other_weights, strict=True):
+        for values, sums, own in zip(rows, others, other_weights, strict=True):
             counts, means, covariances = sums.gaussians(own)
             fids = frechet_distances(real_means, factors, means, covariances).tolist()
             are_known = np.minimum(counts, real_counts) >= 2
@@ -257,21 +265,18 @@ Features = Float[np.ndarray, "_samples features"]
 
 
 def resampled_fid(
-    real: Features, real_takes: Sequence[str], other: Features, other_units: Callable[[int | None], Units]
+    real: Features, real_takes: Sequence[str], other: Features, other_takes: Sequence[Sequence[str]]
 ) -> Resampled:
-    """FID in every resampling of the takes of both sets; `other_units` gives the other set's units by number of blocks.
-
-    () if either set has a single take.
-    """
+    """FID in every resampling of the takes of both sets, the other one's by draw; () if either has a single take."""
     blocks = blocks_for(max(len(set(real_takes)), len(other)), real.shape[1])
     sides = []
-    for features, units in ((real, units_of(real_takes, blocks=blocks)), (other, other_units(blocks))):
+    for features, takes in ((real, [real_takes]), (other, other_takes)):
+        units = units_of_draws(takes, blocks)
         if len(set(units.takes)) < 2:
             return ()
-        sums = UnitSums(len(units.takes), real.mean(axis=0))
-        sums.add(features, units.unit)
-        sides.append((sums, units))
-    return resampled_fids(*sides[0], sides[1:], Resampling())[0]
+        sides.append(UnitSums(units, real.mean(axis=0)))
+        sides[-1].add(features, np.arange(len(features)))
+    return resampled_fids(sides[0], sides[1:], Resampling())[0]
 
 
 PAIRS = 4096
@@ -283,7 +288,7 @@ def resampled_mean_distance(
     """The mean distance of random pairs of different samples; with labels, of one class, classes weighted equally."""
     rng = np.random.default_rng(len(features))
     classes = [np.arange(len(features))] if labels is None else [np.flatnonzero(labels == each) for each in set(labels)]
-    found = []
+    means = []
     for members in classes:
         if len(members) < 2:
             continue
@@ -293,9 +298,5 @@ def resampled_mean_distance(
         distances = np.linalg.norm(features[a] - features[b], axis=1)
         together = weights[:, unit[a]] * weights[:, unit[b]]
         drawn = together.sum(axis=1)
-        found.append((together @ distances) / np.where(drawn > 0, drawn, np.nan))
-    if not found:
-        return ()
-    there = np.isfinite(found).sum(axis=0)
-    totals = np.nansum(found, axis=0)
-    return tuple(total / count if count else None for total, count in zip(totals.tolist(), there.tolist(), strict=True))
+        means.append((together @ distances) / np.where(drawn > 0, drawn, np.nan))
+    return quotients(np.nansum(means, axis=0), np.isfinite(means).sum(axis=0)) if means else ()

@@ -11,7 +11,7 @@ from fractions import Fraction
 import numpy as np
 
 from eval.metrics.metric import Metric
-from eval.metrics.number import Number, Resampling, Units, units_of, with_takes
+from eval.metrics.number import Number, Resampling, Units, quotients, units_of, with_takes
 from eval.metrics.physical import METRICS, ground_height
 from eval.metrics.physical_published import METRICS as PUBLISHED
 from eval.metrics.registry import find_metric
@@ -54,14 +54,13 @@ class Measured:
         if not seconds.any():
             return None
         sums = [np.bincount(self.units.unit, each) for each in (seconds * np.nan_to_num(values), seconds)]
-        totals, counts = (self.units.weights(resampling) @ each for each in sums)
-        resampled = tuple(float(total / count) if count else None for total, count in zip(totals, counts, strict=True))
+        resampled = quotients(*(self.units.weights(resampling) @ each for each in sums))
         return with_takes(float(sums[0].sum() / sums[1].sum()), resampled)
 
     def means(self, metrics: Sequence[Metric], resampling: Resampling) -> dict[str, Number]:
         """The mean of every metric that a motion has, by title."""
-        found = {metric.title: self.mean(metric, resampling) for metric in metrics}
-        return {title: mean for title, mean in found.items() if mean is not None}
+        means = {metric.title: self.mean(metric, resampling) for metric in metrics}
+        return {title: mean for title, mean in means.items() if mean is not None}
 
 
 def floors_of(samples: SampleSet) -> list[float]:
@@ -73,16 +72,16 @@ def measured(
     samples: SampleSet, on_motion: Callable[[], None] = lambda: None, *, floors: Sequence[float] | None = None
 ) -> Measured:
     """Measure every motion of a set, over its own floor unless `floors` are given; `on_motion` is called after each."""
-    found: dict[str, list[object]] = defaultdict(list)
+    by_metric: dict[str, list[object]] = defaultdict(list)
     fps = float(samples.fps)
     for positions, floor in zip(samples.sequences, floors or floors_of(samples), strict=True):
         for metric in METRICS:
-            found[metric.name].append(metric.function(positions, samples.fps))
+            by_metric[metric.name].append(metric.function(positions, samples.fps))
         for metric in PUBLISHED:
-            found[metric.name].append(metric.function(positions, fps, floor=floor))
+            by_metric[metric.name].append(metric.function(positions, fps, floor=floor))
         on_motion()
     # Rounding errors leave 1e-17 instead of 0.
-    values = {name: np.round(np.array(each, dtype=np.float64), 12) for name, each in found.items()}
+    values = {name: np.round(np.array(each, dtype=np.float64), 12) for name, each in by_metric.items()}
     return Measured(values, samples.sequences.num_frames / fps, units_of(samples.take_names, samples.generations))
 
 
@@ -118,7 +117,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
             ("By the field's definitions", PER_FRAME, PUBLISHED_NOTE),
         ):
             resampling = Resampling(seed=config.seed)
-            means = {row: found.means(metrics, resampling) for row, found in rows.items()}
+            means = {row: each.means(metrics, resampling) for row, each in rows.items()}
             shown = [metric for metric in metrics if any(metric.title in row for row in means.values())]
             block = Block(
                 f"{title}, at {label(column.fps)}",

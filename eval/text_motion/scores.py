@@ -17,11 +17,10 @@ from eval.metrics.number import (
     Resampled,
     Resampling,
     Scores,
-    Units,
     over_replications,
     resampled_fid,
     resampled_mean_distance,
-    units_of,
+    units_of_draws,
     weighted_means,
 )
 from eval.metrics.retrieval import (
@@ -73,7 +72,8 @@ class PairTerms:
     """R-Precision and MM-Dist of every pair of some draws over all replications, and the take of each pair."""
 
     def __init__(self, draws: Sequence[TextMotionPairs]) -> None:
-        self._draws = draws
+        self._draws, self._takes = draws, [draw.take_names for draw in draws]
+        self._units = units_of_draws(self._takes)
         self._values: dict[str, list[Float64[np.ndarray, _queries]]] = defaultdict(list)
         self._rows: list[Int64[np.ndarray, _queries]] = []
 
@@ -83,40 +83,33 @@ class PairTerms:
         distances = pool_distances(draw.texts, draw.motions, order, pool)
         values = {"mm_dist": np.diagonal(distances, axis1=1, axis2=2)}
         for suffix, directed in (("", distances), ("_motion_asks", distances.swapaxes(1, 2))):
-            for rank, found in enumerate(hits(directed), start=1):
-                values[f"r_precision_top{rank}{suffix}"] = found
-        for name, found in values.items():
-            scores.add(name, float(found.mean()))
-            self._values[name].append(found.ravel())
+            for rank, shares in enumerate(hits(directed), start=1):
+                values[f"r_precision_top{rank}{suffix}"] = shares
+        for name, own in values.items():
+            scores.add(name, float(own.mean()))
+            self._values[name].append(own.ravel())
         self._rows.append(first + order[: len(order) // pool * pool])
 
     def resampled_means(self) -> dict[str, Resampled]:
         """R-Precision and MM-Dist in the bootstrap over takes."""
-        units = self._units(None)
-        unit, weights = units.unit[np.concatenate(self._rows)], units.weights(Resampling())
+        unit, weights = self._units.unit[np.concatenate(self._rows)], self._units.weights(Resampling())
         return {name: weighted_means(np.concatenate(values), unit, weights) for name, values in self._values.items()}
 
     def resampled(self, real: TextMotionPairs, pair_score: str) -> dict[str, Resampled]:
         """Every metric in the bootstrap over takes; none if there is a single take."""
-        units = self._units(None)
-        if len(set(units.takes)) < 2:
+        if len(set(self._units.takes)) < 2:
             return {}
-        weights = units.weights(Resampling())
+        unit, weights = self._units.unit, self._units.weights(Resampling())
         motions = np.concatenate([draw.motions for draw in self._draws]).astype(np.float64)
-        found = self.resampled_means() | {
-            "fid": resampled_fid(real.motions.astype(np.float64), real.take_names, motions, self._units),
-            "diversity": resampled_mean_distance(motions, units.unit, weights),
+        values = self.resampled_means() | {
+            "fid": resampled_fid(real.motions.astype(np.float64), real.take_names, motions, self._takes),
+            "diversity": resampled_mean_distance(motions, unit, weights),
         }
         if pair_score:
             pairs = [pair for draw in self._draws for pair in zip(draw.texts, draw.motions, strict=True)]
-            values = np.array([PAIR_SCORES[pair_score](text[None], motion[None]) for text, motion in pairs])
-            found[pair_score] = weighted_means(values, units.unit, weights)
-        return found
-
-    def _units(self, blocks: int | None) -> Units:
-        takes = [take for draw in self._draws for take in draw.take_names]
-        draws = [number for number, draw in enumerate(self._draws) for _ in draw.take_names]
-        return units_of(takes, draws if len(self._draws) > 1 else (), blocks)
+            of_pairs = np.array([PAIR_SCORES[pair_score](text[None], motion[None]) for text, motion in pairs])
+            values[pair_score] = weighted_means(of_pairs, unit, weights)
+        return values
 
 
 def score_text_motion(
@@ -244,7 +237,7 @@ def score_retrieval(
     an independent encoder, is row i of `sentences`. Candidates are ranked by `distance`, Euclidean by default: of
     embeddings of length 1 that is the order of cosines. Raises `ValueError` for fewer pairs than a pool.
     """
-    found: dict[str, list[float]] = {}
+    values: dict[str, list[float]] = {}
     for draw in draws:
         same = _same_texts(rule, draw, sentences)
         for rows in _ranked_together(rule, sentences, seed):
@@ -258,9 +251,9 @@ def score_retrieval(
                 ranked = retrieval(distance(queries, candidates), None if same is None else same[np.ix_(rows, rows)])
                 suffix = SUFFIXES[direction]
                 for rank, share in zip(RECALL_RANKS, ranked.recall.tolist(), strict=True):
-                    found.setdefault(f"recall_at_{rank}{suffix}", []).append(share)
-                found.setdefault(f"median_rank{suffix}", []).append(ranked.median_rank)
-    return {name: over_replications(values) for name, values in found.items()}
+                    values.setdefault(f"recall_at_{rank}{suffix}", []).append(share)
+                values.setdefault(f"median_rank{suffix}", []).append(ranked.median_rank)
+    return {name: over_replications(each) for name, each in values.items()}
 
 
 def share_of_same_texts(

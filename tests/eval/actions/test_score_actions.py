@@ -66,9 +66,9 @@ def test_actors_spread_is_a_variance_and_no_interval() -> None:
 
 def test_more_motions_than_a_protocol_counts_are_thinned_and_fewer_are_reported() -> None:
     few = replace(find_action_protocol("mdm"), replications=3, num_motions=40)
-    more = score_actions({"": recognised(90, 0).features}, [recognised(60, 1)], few, seed=0)
+    more = score_actions({"test": recognised(90, 0).features}, [recognised(60, 1)], few, seed=0)
     assert more.sizes["generated"] == 40
-    assert len(set(more.replications["fid"])) == 3
+    assert len(set(more.replications["fid_test"])) == 3
     fewer = score_actions({}, [recognised(20, 1)], few, seed=0)
     assert any("counts 40 motions, here are 20" in remark for remark in fewer.remarks)
     assert set(fewer.values) == {

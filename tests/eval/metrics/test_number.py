@@ -25,8 +25,6 @@ def test_interval_over_replications_is_the_reference_protocols() -> None:
     assert result.value == 3.0
     assert result.ci95 == pytest.approx(1.96 * np.std(values) / 2)
     assert over_replications([3.0]).ci95 == 0.0
-    with pytest.raises(ValueError, match="not finite"):
-        over_replications([1.0, float("nan")])
 
 
 def takes_of(values: list[int]) -> list[str]:
@@ -65,7 +63,7 @@ def test_many_takes_are_drawn_in_blocks_that_depend_on_their_names_alone() -> No
 def test_a_weighted_gaussian_is_the_gaussian_of_repeated_takes(counts: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
     features, unit = rng.normal(100.0, 1.0, (40, 3)), np.repeat(np.arange(4), 10)
-    sums = UnitSums(4, features.mean(axis=0))
+    sums = UnitSums(units_of(takes_of([0, 1, 2, 3])), features.mean(axis=0))
     sums.add(features[:25], unit[:25])
     sums.add(features[25:], unit[25:])
     number, mean, covariance = (each[0] for each in sums.gaussians(np.array([counts], dtype=np.float64)))
