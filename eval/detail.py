@@ -61,7 +61,7 @@ STEADY_RIDGE, RIDGE = 0.003, 0.1
 """Chosen by leaving out performers of CMU, cmu-more and HDM05 at 120 fps in five folds."""
 DECIBELS = 10.0 / np.log(10.0)
 HALVINGS = 200
-LEAST_SEEN_MM = 0.05
+LEAST_RANGE_MM = 0.05
 """Change of bones that resampling a capture makes."""
 SUDDEN_JOINTS = (*FOOT_JOINTS, 0, 20, 21)
 PARENTS = list(SMPL22.parents[1:])
@@ -332,7 +332,7 @@ def _ranges_of_halves(figures: MotionFigures, real: SampleSet, seed: int) -> Flo
     halves = np.stack([rng.permutation(len(takes)) < len(takes) // 2 for _ in range(HALVINGS)])[:, take].astype(float)
     both = _relative(figures.averages(halves), figures.averages(1.0 - halves))
     ranges: Float64[np.ndarray, "2 figures"] = np.nanpercentile(both, (2.5, 97.5), axis=0)
-    ranges[:, -1] = 0.0, max(ranges[1, -1], LEAST_SEEN_MM)
+    ranges[:, -1] = 0.0, max(ranges[1, -1], LEAST_RANGE_MM)
     return ranges
 
 

@@ -118,16 +118,14 @@ def spatial_graph(parents: tuple[int, ...]) -> Float32[np.ndarray, "partitions j
     [k, v, w] is the weight from joint v to joint w, divided by the number of w's neighbours, itself included. As in the
     source, distances are known up to one bone: joints further away count as equally far.
     """
-    joints = len(parents)
-    linked = np.eye(joints, dtype=bool)
-    for child, parent in enumerate(parents):
-        if parent >= 0:
-            linked[child, parent] = linked[parent, child] = True
+    itself = np.eye(len(parents), dtype=bool)
+    linked = itself.copy()
+    for child, parent in enumerate(parents[1:], start=1):
+        linked[child, parent] = linked[parent, child] = True
     share = linked / linked.sum(axis=0)
     away = np.where(linked[0], 1, 2)
     away[0] = 0
     nearer = away[:, None] < away[None, :]
-    itself = np.eye(joints, dtype=bool)
     partitions = (itself, ~itself & ~nearer, ~itself & nearer)
     return np.stack([np.where(partition, share, 0.0) for partition in partitions]).astype(np.float32)
 
@@ -213,9 +211,9 @@ def uestc_inputs(samples: SampleSet, rows: Rows) -> Float32[np.ndarray, "clips f
     """
     rotations = samples.local_rotations
     if rotations is None or rotations.shape[1] not in (SMPL.num_joints, SMPL22.num_joints):
-        found = "positions only" if rotations is None else f"rotations of {rotations.shape[1]} joints"
+        given = "positions only" if rotations is None else f"rotations of {rotations.shape[1]} joints"
         raise MotionkitError(
-            f"{samples.name}: {found}, but UESTC's recogniser sees the local rotations of SMPL's {SMPL.num_joints} "
+            f"{samples.name}: {given}, but UESTC's recogniser sees the local rotations of SMPL's {SMPL.num_joints} "
             f"joints (or {SMPL22.num_joints}, the hands then being straight)"
         )
     clips = np.zeros((*rows.shape, SMPL.num_joints, 4), np.float32)

@@ -101,11 +101,11 @@ def with_rotations(store: Store, samples: SampleSet) -> SampleSet:
                 f"{sequence_id} has no rotations of SMPL's joints, which this recogniser needs: narrow the "
                 'motions (--where "has_rotations") or ingest UESTC or AMASS'
             )
-        made = motion if motion.fps == samples.fps else resample(motion, samples.fps)
-        assert made.local_rotations is not None
-        frames = np.minimum(np.arange(int(samples.sequences.num_frames[index])), made.num_frames - 1)
+        resampled = motion if motion.fps == samples.fps else resample(motion, samples.fps)
+        assert resampled.local_rotations is not None
+        frames = np.minimum(np.arange(int(samples.sequences.num_frames[index])), resampled.num_frames - 1)
         has_hands = motion.skeleton.joint_names == SMPL.joint_names
-        rotations.append(made.local_rotations[frames, : SMPL.num_joints if has_hands else SMPL22.num_joints])
+        rotations.append(resampled.local_rotations[frames, : SMPL.num_joints if has_hands else SMPL22.num_joints])
     joints = min(each.shape[1] for each in rotations)
     return replace(samples, local_rotations=np.concatenate([each[:, :joints] for each in rotations]))
 
@@ -113,7 +113,7 @@ def with_rotations(store: Store, samples: SampleSet) -> SampleSet:
 def known_to_all(real: ActionSet, models: Mapping[str, GenerativeModel], missing: Missing) -> ActionSet:
     """The motions of the actions that every model knows, at least two of each, so that rows are of the same motions.
 
-    Models that know no action, or no condition at all, are not asked. Where that leaves no motion, all of them.
+    Models that know no action, or no condition at all, do not count. Where that leaves no motion, all of them.
     """
     actions = dict.fromkeys(real.samples.actions)
     unknown: dict[str, list[str]] = {}
@@ -146,8 +146,8 @@ def generated_like(real: ActionSet, model: GenerativeModel, draw: int, seed: int
         RowId(model.name, Variant.PLANTED): [planted(each, "free") for each in fields],
     }
     sets = {}
-    for row, made in rows.items():
-        motions = [to_motion(field, real.samples.fps) for field in made]
+    for row, own in rows.items():
+        motions = [to_motion(field, real.samples.fps) for field in own]
         positions = [motion.joint_positions for motion in motions]
         samples = sample_set(
             str(row), real.samples.fps, positions, real.samples.sequence_ids, actions=real.samples.actions

@@ -154,8 +154,8 @@ def _draw(places: dict[str, Path], real: "list[Motion]") -> None:
     names = read_json(places["motions"] / MANIFEST, "run the demo again")["files"]
     generated = [read_bvh(places["motions"] / name, options) for name in names]
     strips = []
-    for motion, answer in zip(real, generated, strict=True):
-        for row, shown in (("training takes", motion), ("planted", answer)):
+    for motion, planted in zip(real, generated, strict=True):
+        for row, shown in (("training takes", motion), ("planted", planted)):
             name, colour = next((name, colour) for name, colour in colours.items() if row in name)
             positions = map_joints(shown, SMPL22.name)[: int(PICTURED_SECONDS * shown.fps)]
             red, green, blue = to_rgb(colour)
@@ -177,6 +177,6 @@ def _claim(folder: Path, places: dict[str, Path]) -> None:
     from motionkit.core.files import write_whole
 
     marker = folder / MARKER
-    if not marker.is_file() and (there := [place for place in places.values() if place.exists()]):
-        raise UsageError(f"{there[0]} is not of an earlier demo: choose another folder with --folder")
+    if not marker.is_file() and (existing := [place for place in places.values() if place.exists()]):
+        raise UsageError(f"{existing[0]} is not of an earlier demo: choose another folder with --folder")
     write_whole(marker, "motionkit demo made this folder. When it runs again, it replaces its own files alone.\n")

@@ -165,7 +165,7 @@ def framerates(text: str, option: str) -> "tuple[Fraction, ...]":
     from motionkit.core.timegrid import parse_fps
 
     try:
-        return tuple(parse_fps(part.strip()) for part in text.split(","))
+        return tuple(parse_fps(each.strip()) for each in text.split(","))
     except ValueError as error:
         raise UsageError(f"{option} {text}: {error}") from None
 
@@ -181,11 +181,13 @@ def _sizes(text: str) -> tuple[int, int]:
 
 def _pairs(option: str, pairs: list[str], value: str) -> list[tuple[str, str]]:
     """NAME=VALUE pairs of an option; raises `UsageError` for anything else."""
-    found = [tuple(pair.split("=", 1)) for pair in pairs]
-    for pair in found:
-        if len(pair) != 2 or not all(pair):
-            raise UsageError(f"{option} {'='.join(pair)}: give NAME={value}")
-    return [(name, text) for name, text in found]
+    named = []
+    for pair in pairs:
+        name, _, text = pair.partition("=")
+        if not name or not text:
+            raise UsageError(f"{option} {pair}: give NAME={value}")
+        named.append((name, text))
+    return named
 
 
 def named_samples(pairs: list[str], run: Path | None = None) -> dict[str, Path]:

@@ -42,14 +42,14 @@ def report(
     from eval.report.results import ResultError, find_results, samples_only, to_csv, to_latex, to_markdown
 
     folder = results or default_path("results")
-    found, faults = find_results(folder)
+    shown, faults = find_results(folder)
     for fault in faults:
         stderr.print(f"left out: {fault}")
-    if not found and not faults and not run:
+    if not shown and not faults and not run:
         raise UsageError(f"there is no result in {str(folder)!r}: motionkit eval --table 2 makes one")
     if only_samples:
-        found = [samples_only(result) for result in found if result.provenance.get("samples")]
-        if not found or run:
+        shown = [samples_only(result) for result in shown if result.provenance.get("samples")]
+        if not shown or run:
             raise UsageError("--samples-only shows results of 'motionkit eval --samples', without --run")
     printers = {"markdown": to_markdown, "latex": to_latex, "csv": to_csv}
     if out is not None and (as_json or format in printers):
@@ -57,12 +57,12 @@ def report(
     if (store or run) and (as_json or format != "html"):
         raise UsageError("--store and --run are for the page, --format html")
     # What lies in the folder of results is renewed, as eval does.
-    for path in () if out is None else [out] if format == "html" else [out / f"{each.task}.png" for each in found]:
+    for path in () if out is None else [out] if format == "html" else [out / f"{each.task}.png" for each in shown]:
         require_new(path, overwrite=overwrite, instead="--out writes elsewhere")
     if as_json:
-        print_json([asdict(result) for result in found])
+        print_json([asdict(result) for result in shown])
     elif format in printers:
-        print_text("\n".join(printers[format](result) for result in found))
+        print_text("\n".join(printers[format](result) for result in shown))
     elif format == "html":
         from eval.report.curves import figure_of, run_card
         from eval.report.results import to_html
@@ -74,22 +74,22 @@ def report(
             cards = [] if store is None else [corpus_card(summarise(Store.open(store)))]
             places = [(runs or default_path("runs")) / name for name in run or ()]
             cards += [run_card(each, [] if store is None else list(_motions(each, store, show))) for each in places]
-        figures = {number: figure for number, each in enumerate(found) if (figure := figure_of(each)) is not None}
+        figures = {number: figure for number, each in enumerate(shown) if (figure := figure_of(each)) is not None}
         page = out or folder / "report.html"
-        write_whole(page, to_html(found, cards=cards, figures=figures))
+        write_whole(page, to_html(shown, cards=cards, figures=figures))
         print(page)
-        stderr.print(counted(len(found), "result"))
+        stderr.print(counted(len(shown), "result"))
     elif format == "png":
         from eval.report.curves import figure_of, save
 
-        for result in found:
+        for result in shown:
             if (figure := figure_of(result)) is not None:
                 print(save(figure, (out or folder) / f"{result.task}.png"))
     else:
         raise UsageError(f"there is no format {format!r}: html, png, {', '.join(printers)}")
     if faults:
         raise ResultError(
-            f"cannot be read: {len(faults)} of {counted(len(faults) + len(found), 'result')} in {str(folder)!r}"
+            f"cannot be read: {len(faults)} of {counted(len(faults) + len(shown), 'result')} in {str(folder)!r}"
         )
 
 

@@ -38,10 +38,10 @@ def samples(
         _write_manifest(folder, {"fps": fps, "up": up}, overwrite)
     with progress() as show, task(show, "reading") as work:
         read = read_sample_folder(folder.name, folder, SampleOptions(framerate, up or ""), work.set)
-    found = _summary(read)
+    summary = _summary(read)
     if as_json:
-        print_json(found)
-    for name, text in () if as_json else _lines(found):
+        print_json(summary)
+    for name, text in () if as_json else _lines(summary):
         stdout.print(f"{name:12}{text}")
     if read.left_out:
         raise SampleFolderError(f"left out of every table: {counted(len(read.left_out), 'motion')} of {str(folder)!r}")
@@ -87,20 +87,20 @@ def _summary(folder: "SampleFolder") -> dict[str, Any]:
     }
 
 
-def _lines(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def _lines(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """The summary as lines: a label, and the text."""
 
     def share(count: int, num_different: int) -> str:
         return f"{count:,}, {num_different:,} different" if count else "none"
 
-    low, middle, high = found["frames"]
-    minutes = f"{found['duration_seconds'] / 60:.1f} min"
-    yield "motions", f"{found['num_motions']:,}, {minutes}, {low} to {counted(high, 'frame')} (median {middle})"
-    yield "framerate", ", ".join(f"{fps} fps ({count:,})" for fps, count in found["framerates"].items())
-    yield "captions", share(found["num_captioned"], found["num_different_captions"])
-    yield "actions", share(found["num_with_action"], len(found["actions"]))
-    sizes = sorted(found["prompt_sizes"].items(), key=lambda entry: -entry[1])[:4]
+    low, middle, high = summary["frames"]
+    minutes = f"{summary['duration_seconds'] / 60:.1f} min"
+    yield "motions", f"{summary['num_motions']:,}, {minutes}, {low} to {counted(high, 'frame')} (median {middle})"
+    yield "framerate", ", ".join(f"{fps} fps ({count:,})" for fps, count in summary["framerates"].items())
+    yield "captions", share(summary["num_captioned"], summary["num_different_captions"])
+    yield "actions", share(summary["num_with_action"], len(summary["actions"]))
+    sizes = sorted(summary["prompt_sizes"].items(), key=lambda entry: -entry[1])[:4]
     yield "prompts", ", ".join(f"{count:,} with {size:,} motion{'s'[: size > 1]} each" for size, count in sizes)
-    yield "bodies", f"{found['body_metres']:.2f} m from ankle to head"
-    yield from (("note", remark) for remark in found["remarks"])
-    yield from (("left out", problem) for problem in found["left_out"])
+    yield "bodies", f"{summary['body_metres']:.2f} m from ankle to head"
+    yield from (("note", remark) for remark in summary["remarks"])
+    yield from (("left out", problem) for problem in summary["left_out"])

@@ -103,14 +103,14 @@ def score(
     read = read_answers(answers, known, missing)
     for fault in missing.lines:
         stderr.print(f"left out: {fault}")
-    found = preferences(known, read.values())
+    results = preferences(known, read.values())
     given = sum(map(len, read.values()))
     if as_json:
         outcome = {"study": known["study"], "people": len(read), "answers": given}
-        print_json({**outcome, "preferences": list(map(asdict, found))})
-    elif found:
+        print_json({**outcome, "preferences": list(map(asdict, results))})
+    elif results:
         for question, text in QUESTIONS.items():
-            if rows := [_row(each) for each in found if each.question == question]:
+            if rows := [_row(each) for each in results if each.question == question]:
                 stdout.print(text)
                 print_table(["shown at", "preferred", "95 % interval", "answers", "p"], rows)
         stderr.print(f"{len(read)} people, {given} of {len(read) * len(known['trials'])} questions answered")

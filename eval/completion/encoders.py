@@ -123,13 +123,13 @@ def completer_of(name: str, run: Path) -> Completer:
     # Another package's run may have no config.json.
     recorded = folder.stage(stage).read_config() if folder.stage(stage).config_path.is_file() else {}
     training = recorded.get("config", {}).get("training", {})
-    schedule, answer = training.get("schedule", {}), training.get("answer", {})
-    form = answer.get("form", "")
+    schedule, output = training.get("schedule", {}), training.get("answer", {})
+    form = output.get("form", "")
     notes = [f"run {run.name!r}"]
     if "steps" in schedule:
         notes.append(f"{schedule['steps']:,} steps of {schedule['batch_size']}")
     if form:
-        notes.append(form if form == "plain" else f"{form} corrections of {answer['base']}")
+        notes.append(form if form == "plain" else f"{form} corrections of {output['base']}")
     return Completer(
         encoder.name,
         encoder,

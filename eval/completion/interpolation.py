@@ -13,7 +13,6 @@ import numpy as np
 from eval.completion.data_sets import TrueClips, Vectors, local_rotations
 from eval.completion.encoders import Completer, query_many
 from eval.completion.scores import Scores, add_clips
-from eval.metrics.motion import to_unit_range
 from motionkit.core.kinematics import two_columns
 from motionkit.core.moments import stream
 from motionkit.core.shapes import Bool, Float32, Float64, Int64
@@ -64,8 +63,8 @@ class PoseScale:
     varies: Bool[np.ndarray, "all_numbers"]
 
     def unit_range(self, vectors: Vectors) -> Float64[np.ndarray, "clips frames varying"]:
-        """0.5 + (x − μ)/(4σ) of the numbers that vary."""
-        return to_unit_range(vectors[..., self.varies], self.mean, self.std)
+        """0.5 + (x − μ)/(4σ) of the numbers that vary, not clipped: ± 2σ of the training clips span the range of 1."""
+        return np.asarray(0.5 + (vectors[..., self.varies].astype(np.float64) - self.mean) / (4.0 * self.std))
 
 
 def in_first_frame(vectors: Vectors, first: Float32[np.ndarray, "clips numbers"]) -> Vectors:

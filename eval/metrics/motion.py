@@ -183,18 +183,6 @@ SSIM_WINDOW = 7
 _C1, _C2 = 0.01**2, 0.03**2
 
 
-def to_unit_range(
-    vectors: Vectors, mean: Float[np.ndarray, "numbers"], std: Float[np.ndarray, "numbers"]
-) -> Float64[np.ndarray, "*clips frames numbers"]:
-    """0.5 + (x − μ)/(4σ), not clipped: ± 2 standard deviations of the *training* data span the range of 1.
-
-    σ must have been floored for each group of features; raises `ValueError` if it is not positive.
-    """
-    if not (std > 0).all():
-        raise ValueError("a standard deviation is not positive: floor it for each group of features")
-    return np.asarray(0.5 + (vectors.astype(np.float64) - mean) / (4.0 * std))
-
-
 def psnr(
     predicted: Vectors, target: Vectors, synthesised: Bool[np.ndarray, "marks"], ceiling_db: float = math.inf
 ) -> float:

@@ -17,10 +17,9 @@ from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
 from motionkit.core.timegrid import TimeGrid, num_frames_within
 from motionkit.features import humanml3d
-from motionkit.features.field import heading
+from motionkit.features.field import heading, to_window
 from motionkit.features.humanml3d import at_origin, facing_forward, on_floor
 from motionkit.fields.contact.planted import planted, planted_frames
-from motionkit.fields.detail import Detail, detailed
 from motionkit.fields.interpolation import InterpolatedField
 from motionkit.fields.motion_field import DerivedField, MotionField, Observation, Poses, at_fps, to_motion
 from motionkit.fields.resample import resample_positions, upsample
@@ -46,7 +45,7 @@ class RealMotion:
     sequence_ids: tuple[str, ...]
     captions: tuple[str, ...]
     actions: tuple[str, ...]
-    _made: dict[tuple[Fraction, int], SampleSet] = field(default_factory=dict)
+    _sampled: dict[tuple[Fraction, int], SampleSet] = field(default_factory=dict)
 
     def indices_at(self, fps: Fraction, first_frame: int = 0) -> npt.NDArray[np.int64]:
         """Sequences whose native framerate is at least `fps`, with at least two frames after the first ones.
@@ -71,9 +70,9 @@ class RealMotion:
         fewer than two sequences remain.
         """
         key = (fps, first_frame)
-        if key not in self._made:
+        if key not in self._sampled:
             chosen = self.indices_at(fps, first_frame).tolist()
-            self._made[key] = sample_set(
+            self._sampled[key] = sample_set(
                 self.name,
                 fps,
                 [resample_positions(self.sequences[index][first_frame:], self.fps[index], fps) for index in chosen],
@@ -81,12 +80,12 @@ class RealMotion:
                 [self.captions[index] for index in chosen],
                 [self.actions[index] for index in chosen],
             )
-        return self._made[key]
+        return self._sampled[key]
 
     def forget_all_but(self, fps: Fraction) -> None:
         """Drop cached sets of other framerates; `at` computes them again."""
-        for key in [key for key in self._made if key[0] != fps]:
-            del self._made[key]
+        for key in [key for key in self._sampled if key[0] != fps]:
+            del self._sampled[key]
 
 
 def of_split_and(split: str, where: str | None) -> str | None:
@@ -128,7 +127,7 @@ AT_ONCE = 256
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of one real sequence for which a motion is generated; `number` counts the sequence's windows from 0.
+    """A window of one real sequence for which a motion is generated; `number` counts the sequence's windows from 0.
 
     `draw` counts generations of the same window, each with a seed of its own.
     """
@@ -175,7 +174,7 @@ def refusal(model: GenerativeModel, request: GenerationRequest) -> str:
 
 
 def as_known(model: GenerativeModel, requests: Sequence[GenerationRequest]) -> list[GenerationRequest]:
-    """Requests as a model can take them: one that knows no conditions is asked for durations alone."""
+    """Requests as a model knows them: the durations alone for one without conditions."""
     if is_unconditional(model):
         return [GenerationRequest(request.duration_seconds) for request in requests]
     return list(requests)
@@ -199,14 +198,14 @@ def generate_fields(
         picked = np.random.default_rng((seed, 7)).choice(len(windows), size=limit, replace=False)
         chosen = [windows[index] for index in np.sort(picked).tolist()]
     requests = as_known(model, [window.request for window in chosen])
-    made: dict[Window, MotionField] = {}
+    generated: dict[Window, MotionField] = {}
     for draw in range(draws):
         for first in range(0, len(requests), AT_ONCE):
             some = slice(first, first + AT_ONCE)
             fields = model.generate(requests[some], seed=seed + draw, sampling=sampling, first=first)
-            made |= zip((replace(window, draw=draw) for window in chosen[some]), fields, strict=True)
+            generated |= zip((replace(window, draw=draw) for window in chosen[some]), fields, strict=True)
             on_motions(len(fields))
-    return made
+    return generated
 
 
 def remembering(field: MotionField) -> DerivedField:
@@ -226,7 +225,7 @@ def sample_fields(
 ) -> SampleSet | None:
     """Fields of the given sequences' windows, sampled at exactly fps; None where there are none.
 
-    Nothing is resampled: the field is asked for every instant. The take of a motion is the sequence it was made for.
+    Nothing is resampled: the field is queried at every instant. The take of a motion is the sequence it is for.
     """
     known = set(sequence_ids)
     windows = [window for window in fields if window.sequence_id in known]
@@ -252,14 +251,6 @@ VARIANT_NOTES = {
 """Tables' notes for rows of planted motion."""
 
 
-def detailed_fields(fields: Mapping[Window, MotionField], detail: Detail, seed: int) -> dict[Window, MotionField]:
-    """Motion fields with detail above 10 Hz, sampled for each, as `motionkit generate --detail` does."""
-    return {
-        window: detailed(field, detail, seed=seed, number=number)
-        for number, (window, field) in enumerate(fields.items())
-    }
-
-
 def planted_fields(fields: Mapping[Window, MotionField]) -> dict[Window, MotionField]:
     """Planted generated motion fields, as `motionkit generate` writes them."""
     return {window: planted(field, "free") for window, field in fields.items()}
@@ -269,14 +260,14 @@ def planted_set(samples: SampleSet) -> SampleSet:
     """A set's motions planted, as `motionkit plant --path free` writes them; without rotations."""
     joints = samples.sequences.values.shape[1]
     skeleton = next(each for each in STANDARD_SKELETONS.values() if each.num_joints == joints)
-    made = []
+    planted_positions = []
     for positions in samples.sequences:
         # Not from_joints, which refuses bodies of no person's size: a model may generate such.
         motion = Motion(positions, skeleton, TimeGrid(samples.fps, len(positions)))
         planting = planted_frames(Observation.of(motion), motion.timegrid, "free")
-        made.append(planting(motion.timegrid.seconds()).joint_positions)
+        planted_positions.append(planting(motion.timegrid.seconds()).joint_positions)
     name = str(RowId(samples.name, Variant.PLANTED))
-    return replace(samples, name=name, sequences=Ragged.of(made), local_rotations=None)
+    return replace(samples, name=name, sequences=Ragged.of(planted_positions), local_rotations=None)
 
 
 def upsampled(samples: SampleSet, fps: Fraction, name: str) -> SampleSet:
@@ -324,8 +315,6 @@ def upsample_as_vectors(samples: SampleSet, fps: Fraction, name: str) -> SampleS
     The root's path and turns grow by the upsampling factor: a flaw of the procedure, not of the motion. It would
     explain how published baselines grow with the framerate, and is shown beside SLERP for that reason only.
     """
-    if fps < samples.fps:
-        raise ValueError(f"{samples.name} is at {samples.fps} fps, which is more than {fps}")
     sequences = []
     for positions in samples.sequences:
         vectors = humanml3d.vectors(facing_forward(at_origin(on_floor(positions)), SMPL22.name), SMPL22.name)
@@ -389,8 +378,6 @@ BASIS_WINDOWS = 2048
 QUERIES_AT_ONCE = 512
 STILL_METRES = 0.03
 """Windows that move less are near everything: the root mean square deviation of bones from their means."""
-HELD_OUT_SHARE = 0.01
-"""Share of held-out real motion's windows that the limit calls copied."""
 PARENTS = np.array(SMPL22.parents[1:])
 
 
@@ -404,11 +391,6 @@ class Nearest:
     motion: Int64[np.ndarray, "windows"]
     distance: Float64[np.ndarray, "windows"]
     relative: Float64[np.ndarray, "windows"]
-
-
-def held_out_limit(held_out: Nearest) -> float:
-    """The relative distance that 1 % of held-out real motion's windows are nearer than; 0 without windows."""
-    return float(np.quantile(held_out.relative, HELD_OUT_SHARE)) if len(held_out.relative) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -462,12 +444,12 @@ class TrainingWindows:
     def _distance(self, windows: Float32[np.ndarray, "queries numbers"]) -> Float64[np.ndarray, "queries"]:
         """Root mean square difference of bones to the nearest training window."""
         values = _projected(windows - self.mean, self.components)
-        squares, found = np.square(self.values).sum(axis=1), np.empty(len(windows))
+        squares, nearest = np.square(self.values).sum(axis=1), np.empty(len(windows))
         for first in range(0, len(windows), QUERIES_AT_ONCE):
             some = values[first : first + QUERIES_AT_ONCE]
             apart = squares - 2.0 * some @ self.values.T
-            found[first : first + len(some)] = apart.min(axis=1) + np.square(some).sum(axis=1)
-        return np.asarray(np.sqrt(np.maximum(found, 0.0) / NUM_BONES_COMPARED), dtype=np.float64)
+            nearest[first : first + len(some)] = apart.min(axis=1) + np.square(some).sum(axis=1)
+        return np.asarray(np.sqrt(np.maximum(nearest, 0.0) / NUM_BONES_COMPARED), dtype=np.float64)
 
 
 def _projected(
@@ -496,7 +478,5 @@ def _bone_windows(
         lengths[list(pair)] = lengths[list(pair)].mean()
     bones *= lengths[1:, None] / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-6)
     yaw = heading(positions)[frames[:, len(POSES) // 2]]
-    cosine, sine = np.cos(yaw)[:, None, None], np.sin(yaw)[:, None, None]
-    x, y, z = np.moveaxis(bones[frames], -1, 0)
-    turned = np.stack((x * cosine - z * sine, y, x * sine + z * cosine), axis=-1)
-    return turned.reshape(len(frames), 3 * NUM_BONES_COMPARED).astype(np.float32)
+    turned = to_window(bones[frames], yaw, np.zeros((len(frames), 2)))
+    return turned.reshape(len(frames), 3 * NUM_BONES_COMPARED)

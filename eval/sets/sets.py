@@ -35,8 +35,6 @@ class Ragged:
     @classmethod
     def of(cls, sequences: Sequence[Frames], dtype: npt.DTypeLike = np.float32) -> "Ragged":
         """Concatenate a copy of the sequences; raises `ValueError` for none."""
-        if not len(sequences):
-            raise ValueError("a set would hold no sequence")
         values = np.concatenate(sequences).astype(dtype, copy=False)
         lengths = np.array([len(each) for each in sequences], dtype=np.int64)
         return cls(values, np.cumsum(lengths) - lengths, lengths)
@@ -56,7 +54,7 @@ class Ragged:
         return Ragged.of([self[index] for index in indices], self.values.dtype)
 
     def clips(self, first_row: Int64[np.ndarray, "clips"], num_rows: int) -> Float[np.ndarray, "clips rows *frame"]:
-        """Stretches of one length that start at these rows of `values`."""
+        """Clips of one length that start at these rows of `values`."""
         return self.values[first_row[:, None] + np.arange(num_rows)]
 
 
@@ -116,28 +114,27 @@ class SampleSet:
         """Number of different takes."""
         return len(set(self.take_names))
 
-    def select(self, indices: Sequence[int] | npt.NDArray[np.int64], name: str | None = None) -> "SampleSet":
-        """The sequences at `indices`, in that order, optionally under another name."""
+    def select(self, indices: Sequence[int] | npt.NDArray[np.int64]) -> "SampleSet":
+        """The sequences at `indices`, in that order."""
         chosen, rotations = [int(index) for index in indices], self.local_rotations
         if rotations is not None:
             rotations = replace(self.sequences, values=rotations).select(chosen).values
         about: dict[str, Any] = {each: values for each in ABOUT_EACH if (values := getattr(self, each))}
         about = {each: tuple(values[index] for index in chosen) for each, values in about.items()}
-        sequences = self.sequences.select(chosen)
-        return replace(self, name=name or self.name, sequences=sequences, local_rotations=rotations, **about)
+        return replace(self, sequences=self.sequences.select(chosen), local_rotations=rotations, **about)
 
     def cut(self, num_frames: Int64[np.ndarray, "sequences"], rng: np.random.Generator) -> "SampleSet":
         """The sequences cut to at most these numbers of frames, beginning at a random frame."""
         starts = rng.integers(0, np.maximum(1, self.sequences.num_frames - num_frames + 1))
-        parts = [each[first : first + n] for each, first, n in zip(self.sequences, starts, num_frames, strict=True)]
-        return replace(self, sequences=Ragged.of(parts), local_rotations=None)
+        cut = [each[first : first + n] for each, first, n in zip(self.sequences, starts, num_frames, strict=True)]
+        return replace(self, sequences=Ragged.of(cut), local_rotations=None)
 
     def rows_by_group(self) -> dict[str, list[int]]:
         """The sequences of each prompt, prompts in order of appearance; without groups each is its own."""
-        found: dict[str, list[int]] = {}
+        rows: dict[str, list[int]] = {}
         for index, group in enumerate(self.groups or self.sequence_ids):
-            found.setdefault(group, []).append(index)
-        return found
+            rows.setdefault(group, []).append(index)
+        return rows
 
     def with_positions(
         self, name: str, fps: Fraction, sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]]

@@ -137,8 +137,8 @@ def calibrate(
     graded = {}
     for family in FAMILIES:
         if strengths := family.levels_at(float(real.fps)):
-            found = scored({_level(family, strength): _damaged(real, family, strength, seed) for strength in strengths})
-            graded[family] = dict(zip(strengths, found.values(), strict=True))
+            sets = {_level(family, strength): _damaged(real, family, strength, seed) for strength in strengths}
+            graded[family] = dict(zip(strengths, scored(sets).values(), strict=True))
     played = [scored(each) for each in (games(real, seed, comparison.training) if detail else ())]
     disjoint = plain.disjoint_halves()
     floor = replace(disjoint, ci95=disjoint.drawing)
@@ -177,13 +177,13 @@ def compute(config: EvalConfig, store: Store) -> Content:
     train = real_motion(store, "train") if config.split != "all" else held_out
     blocks: list[Block] = []
     for source in feature_sources(config.evaluators, config.guo, config.missing):
-        found: dict[str, Calibration] = {}
+        by_column: dict[str, Calibration] = {}
         for fps in config.fps or COLUMNS:
             name = f"{source.name}, {label(fps)}"
             with config.missing.skipping(name), task(config.on_progress, name, 1 + len(FAMILIES) + NUM_GAMES) as work:
                 comparison = source.comparison(held_out.at(fps), train.at(fps), config.clips)
-                found[label(fps)] = calibrate(comparison, held_out.at(fps, first_frame=1), work.advance)
-        blocks += _blocks(source.name, found)
+                by_column[label(fps)] = calibrate(comparison, held_out.at(fps, first_frame=1), work.advance)
+        blocks += _blocks(source.name, by_column)
     return Content(
         caption=(
             "Scores of damaged real motion against clean real motion of the same takes, in multiples of what clean "
@@ -203,13 +203,13 @@ TABLE = Table(
 )  # fmt: skip
 
 
-def _blocks(source: str, found: Mapping[str, Calibration]) -> list[Block]:
+def _blocks(source: str, by_column: Mapping[str, Calibration]) -> list[Block]:
     """Ratios to the floor, rank correlations, and games; by column."""
     levels = [_level(family, strength) for family in FAMILIES for strength in family.levels]
     ratios: dict[str, dict[str, Cell]] = {CLEAN: {}, DISJOINT: {}}
     ranks: dict[str, dict[str, Cell]] = {}
     seen: dict[str, list[str]] = {}
-    for column, each in found.items():
+    for column, each in by_column.items():
         floor = each.clean.clip_fid
         ratios[CLEAN][column] = Cell(floor.value, floor.ci95)
         scores = {DISJOINT: each.disjoint_floor, **{FLAT + name: of.clip_fid for name, of in each.flat.items()}}
@@ -229,13 +229,13 @@ def _blocks(source: str, found: Mapping[str, Calibration]) -> list[Block]:
         Row(name, "reference", cells, f"seen by clip-FID or the profile from {', '.join(seen[name])}")
         for name, cells in ranks.items()
     )
-    note = ", ".join(f"{column} {'passes' if each.passes else 'FAILS'}" for column, each in found.items())
-    provenance = {"fingerprints": {column: each.fingerprint for column, each in found.items()}}
-    title, columns = "Spearman correlation of severity and score", tuple(found)
+    note = ", ".join(f"{column} {'passes' if each.passes else 'FAILS'}" for column, each in by_column.items())
+    provenance = {"fingerprints": {column: each.fingerprint for column, each in by_column.items()}}
+    title, columns = "Spearman correlation of severity and score", tuple(by_column)
     return [
         Block(f"{source}: multiples of the floor", columns, rows, True, note, provenance, (measure(CLIP_FID),)),
         Block(f"{source}: {title}", columns, ranked, lower_is_better=False),
-        *(_games_block(f"{source}: games at {column}", each.games) for column, each in found.items()),
+        *(_games_block(f"{source}: games at {column}", each.games) for column, each in by_column.items()),
     ]
 
 

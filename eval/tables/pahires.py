@@ -196,9 +196,9 @@ def _ablated(scope: Scope, metric: str, runs: Mapping[Variant, Mapping[int, RunF
     cells: dict[str, dict[str, Cell]] = {}
     for variant, by_seed in runs.items():
         names = [run.path.name for run in by_seed.values() if run.path.name in scope.rows]
-        found = mean_cells([{variant.column: cell(name)} for name in names])
-        cells.setdefault(variant.label, {}).update(found)
-    rows += [Row(label, "ours", found) for label, found in cells.items() if found]
+        means = mean_cells([{variant.column: cell(name)} for name in names])
+        cells.setdefault(variant.label, {}).update(means)
+    rows += [Row(label, "ours", by_column) for label, by_column in cells.items() if by_column]
     lower = find_metric(metric).higher_is_better is False
     shown = (shown_measure(metric),)
     return Block(f"{scope.label}: {METRICS[metric]}", columns, tuple(rows), lower, scope.note, metrics=shown)
@@ -289,11 +289,11 @@ def window_table(table: WindowTable, config: EvalConfig, store: Store) -> Conten
 
     def clips_of(data_set: DataSet) -> Clips:
         if data_set.value == "lafan1":
-            found = windows.lafan1_windows(store)
+            of_set = windows.lafan1_windows(store)
         else:
-            found = windows.data_set_windows(store, data_set, config.split, config.where)
-        measure = partial(windows.measure_windows, found, table.questions)
-        return Clips(found.name, windows.FPS, f"{found.name}: {found.remark}", measure)
+            of_set = windows.data_set_windows(store, data_set, config.split, config.where)
+        measure = partial(windows.measure_windows, of_set, table.questions)
+        return Clips(of_set.name, windows.FPS, f"{of_set.name}: {of_set.remark}", measure)
 
     data_sets = (each for each in data_sets_of(store) if each.fps == windows.FPS)
     scopes, content = _scored(table.caption, clips_of, data_sets, completers, config)

@@ -228,7 +228,7 @@ def printed_block(
     for figure in known:
         if figure.value is not None:
             cells.setdefault(name(figure), {})[column(figure)] = Cell(factor * figure.value, figure.ci95)
-    rows = tuple(Row(row, "paper", found) for row, found in cells.items())
+    rows = tuple(Row(row, "paper", by_column) for row, by_column in cells.items())
     return Block(title, columns or tuple(dict.fromkeys(map(column, known))), rows, lower_is_better, note)
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch.distributions import Normal
 
-from eval.reconstruction import window_truth
+from eval.tables.nerm.reconstruction import window_truth
 from motionkit.core.skeleton import SMPL22
 from motionkit.data.windows import open_frames
 from motionkit.fields.motion_field import to_motion

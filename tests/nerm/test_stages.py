@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from eval.reconstruction import DISTANCE
 from eval.tables.nerm import reconstruction
+from eval.tables.nerm.reconstruction import DISTANCE
 from motionkit.store.reader import Store
 from motionkit.training.run import RunError, RunFolder, StageContext
 from nerm.denoiser import corpus_of

@@ -3,25 +3,42 @@
 A row of an ablation is a variant of `motionkit ablate`; its numbers are means over the seeds that it was trained with.
 """
 
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from fractions import Fraction
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from eval.clip_fid.score import CLIP_FID
-from eval.reconstruction import Errors, error_cells, reconstruction_errors
+from eval.metrics.motion import mean_vector_distance, mpjpe_global, mpjpe_root_aligned, mre
 from eval.report.results import Block, Cell, Row, measure
 from eval.sets.motions import generate_fields
 from eval.sets.sets import RowId
-from eval.tables.systems import COLUMNS, Trained, Yardstick, label, reconstructor, trained_reconstructors
+from eval.tables.systems import COLUMNS, Trained, Yardstick, label, trained_reconstructors
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, mean_cells, printed_block, reported_figures
 from motionkit.core.errors import UsageError
+from motionkit.core.motion import mirror_positions
 from motionkit.core.progress import tracked
+from motionkit.core.shapes import Bool, Float32, Int64
+from motionkit.core.skeleton import SMPL22
+from motionkit.data.reconstruction import ModelWindows, ReconstructsWindows
+from motionkit.data.windows import Windows
 from motionkit.edit.encoders import installed_encoders
+from motionkit.features import field
+from motionkit.features.native import vectors
+from motionkit.fields.motion_field import to_motion
+from motionkit.fields.resample import resample_positions
+from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
 from motionkit.training.ablations import Ablation, find_ablations
 from motionkit.training.run import RunFolder, loader_named
 
 NERM = find_ablations("nerm")
 TRAINING, HELD_OUT = "training windows", "held-out windows"
+GLOBAL, DISTANCE, COUNT = "global MPJPE, mm", "L2 norm of the whole vector", "windows"
 MOST_WINDOWS = 384
 SYNTHESIS = "Motion synthesis: clip-FID on the kinematic descriptor"
 MEASURES = {"mpjpe": measure("mpjpe", unit="mm"), "mre": measure("mre"), "clip_fid": measure(CLIP_FID)}
@@ -43,6 +60,94 @@ PRINTED = {"mre": "motion reconstruction, MRE", "clip_fid": "motion synthesis, c
 
 # Cells by block, then by column.
 Numbers = dict[str, dict[str, Cell]]
+
+
+def window_truth(
+    source: PositionCache, windows: Windows, row: int, fps: Fraction
+) -> Float32[np.ndarray, "poses joints 3"]:
+    """A window's own capture at `fps` (not above its native framerate), in the window's frame; metres."""
+    start, count = int(windows.start_row[row]), int(windows.num_frames[row])
+    positions = np.asarray(source.positions[start : start + count])
+    if windows.mirrored[row]:
+        positions = mirror_positions(positions, SMPL22.left_right_pairs)
+    sampled = resample_positions(positions, windows.exact_fps(row), fps)
+    chosen = slice(row, row + 1)
+    return np.asarray(field.to_window(sampled[None], windows.yaw[chosen], windows.origin[chosen])[0])
+
+
+def has_truth(windows: Windows, fps: Fraction) -> Bool[np.ndarray, "windows"]:
+    """Which windows were captured at `fps` or faster."""
+    return np.asarray(windows.fps >= float(fps) - 1e-6)
+
+
+def separate_windows(windows: Windows) -> Int64[np.ndarray, "chosen"]:
+    """Rows of windows that do not overlap and are not mirrored: each sequence's first, then the next free one, …"""
+    originals = np.flatnonzero(~windows.mirrored)
+    order = originals[np.lexsort((windows.start_frame[originals], windows.sequence_index[originals]))]
+    chosen: list[int] = []
+    free_from: dict[int, int] = defaultdict(int)
+    for row in order.tolist():
+        sequence, start = int(windows.sequence_index[row]), int(windows.start_frame[row])
+        # Neighbours share the frame at which one ends and the next begins.
+        if start >= free_from[sequence]:
+            chosen.append(row)
+            free_from[sequence] = start + int(windows.num_frames[row]) - 1
+    return np.array(chosen, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class WindowErrors:
+    """Root-aligned and global MPJPE in millimetres; MRE and mean distance of `native` vectors in their raw units."""
+
+    aligned_mm: float
+    global_mm: float
+    mre: float
+    vector_distance: float
+    seconds: float
+
+
+def window_errors(
+    decoded: Float32[np.ndarray, "poses joints 3"],
+    truth: Float32[np.ndarray, "poses joints 3"],
+    fps: Fraction,
+    seconds: float,
+) -> WindowErrors:
+    """The errors of one window of some seconds, decoded at `fps`; both in the window's frame, metres."""
+    positions = 1000.0 * mpjpe_root_aligned(decoded, truth), 1000.0 * mpjpe_global(decoded, truth)
+    pair = vectors(decoded, "smpl22", fps), vectors(truth, "smpl22", fps)
+    return WindowErrors(*positions, mre(*pair), mean_vector_distance(*pair), seconds)
+
+
+def error_cells(windows: Sequence[WindowErrors]) -> dict[str, Cell]:
+    """MPJPE in millimetres and MRE by metric, windows weighing by duration."""
+    *errors, seconds = np.array([astuple(window) for window in windows]).T
+    aligned, whole, vector, distance = (float(np.average(each, weights=seconds)) for each in errors)
+    return {
+        "mpjpe": Cell(aligned, None, {GLOBAL: whole, COUNT: float(len(windows))}),
+        "mre": Cell(vector, None, {DISTANCE: distance}),
+    }
+
+
+# Errors by framerate, then by the window's row.
+Errors = dict[Fraction, dict[int, WindowErrors]]
+
+
+def reconstruction_errors(source: ModelWindows, rates: Sequence[Fraction], most_windows: int, seed: int) -> Errors:
+    """With what errors a model reconstructs windows, by framerate and row: random ones, at most `most_windows`.
+
+    Those fast enough for all framerates come first. Windows without a ground truth have no errors.
+    """
+    shuffled = np.random.default_rng(seed).permutation(separate_windows(source.windows))
+    fast = has_truth(source.windows, max(rates))[shuffled]
+    rows = np.sort(np.concatenate((shuffled[fast], shuffled[~fast]))[:most_windows])
+    windows, fields, errors = source.windows.select(rows), source.fields(rows), Errors()
+    for fps in rates:
+        errors[fps] = {}
+        for row in np.flatnonzero(has_truth(windows, fps)).tolist():
+            truth = window_truth(source.source, windows, row, fps)
+            decoded = to_motion(fields[row], fps).joint_positions[:, : truth.shape[1]]
+            errors[fps][row] = window_errors(decoded, truth, fps, float(windows.duration_seconds[row]))
+    return errors
 
 
 def reconstruction(config: EvalConfig, store: Store) -> Content:
@@ -140,30 +245,34 @@ def ablated(ablation: Ablation, config: EvalConfig, store: Store) -> Content:
 
 def _errors(trained: Trained[Any], store: Store, config: EvalConfig) -> dict[str, tuple[str, Errors]]:
     """How an encoder reconstructs its training windows and those of another split if there are any, and the errors."""
-    encoder, rates = reconstructor(trained, store), config.fps or COLUMNS
+    encoder, rates = trained.loaded, config.fps or COLUMNS
+    if not isinstance(encoder, ReconstructsWindows):
+        raise UsageError(f"{trained.loader.title} doesn't reconstruct windows of motion")
+    if encoder.store_fingerprint != store.fingerprint:
+        raise UsageError(f"{encoder.name} of {trained.run} was trained on another state of the store: train again")
     sources = {TRAINING: encoder.training_windows(store)}
     with config.missing.skipping(HELD_OUT, (UsageError,)):
         if config.split in ("all", "train"):
             raise UsageError(f"split {config.split!r} holds training windows; name another (--split test)")
         sources[HELD_OUT] = encoder.other_windows(store, config.condition)
-    found = {}
+    by_windows = {}
     for which, each in sources.items():
         errors = reconstruction_errors(each, rates, min(MOST_WINDOWS, config.max_motions), config.seed)
         lacking = (fps for fps in rates if not errors[fps])
         config.missing.add(*(f"{encoder.name}: {which}, {label(fps)}: no take is that fast" for fps in lacking))
-        found[which] = each.described, errors
-    return found
+        by_windows[which] = each.described, errors
+    return by_windows
 
 
 def _reconstruction(trained: Trained[Any], store: Store, config: EvalConfig) -> Numbers:
     """Errors of an encoder's windows by an ablation's blocks."""
-    found = Numbers()
+    numbers = Numbers()
     for which, (_, errors) in _errors(trained, store, config).items():
         cells = {label(fps): error_cells(list(each.values())) for fps, each in errors.items() if each}
         for title, (windows, metric) in ABLATION_BLOCKS.items():
             if windows == which:
-                found[title] = {column: by_metric[metric] for column, by_metric in cells.items()}
-    return found
+                numbers[title] = {column: by_metric[metric] for column, by_metric in cells.items()}
+    return numbers
 
 
 def _printed(table: str) -> list[Block]:

@@ -14,19 +14,20 @@ from eval.metrics.registry import find_metric
 from eval.metrics.retrieval import RECALL_RANKS
 from eval.native_evaluator.evaluator import load_evaluator
 from eval.report.results import Block, Cell, Row, cell_of, measure, score_differences, with_differences
-from eval.sample_embeddings import Embedded, sample_embeddings
 from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, refusal
 from eval.sets.sets import REAL, RowId, check_sample_names, size_remark
 from eval.tables.systems import Trained, TrainedModel, trained_models
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
 from eval.text_motion.guo import load_guo, load_motion_clip
 from eval.text_motion.motions import (
-    MADE_OF_22,
+    FROM_22_JOINTS,
+    Embedded,
     ModelMotions,
     TextMotionEvaluator,
     captioned_motions,
     embed_captions,
     kit_bone_lengths,
+    sample_embeddings,
 )
 from eval.text_motion.protocol import KIT_FPS, RetrievalRule, TextMotionProtocol, find_text_motion_protocol
 from eval.text_motion.scores import (
@@ -41,6 +42,7 @@ from motionkit.core.errors import MotionkitError, UsageError, counted
 from motionkit.core.progress import task
 from motionkit.generate.models import GenerationRequest, installed_models
 from motionkit.store.reader import Store
+from motionkit.training.run import RunFolder
 from motionkit.training.text import load_text_encoder
 
 DEFAULT_FPS = Fraction(20)
@@ -91,7 +93,9 @@ def compute(config: EvalConfig, store: Store) -> Content:
                 for each in comparisons
             },
         },
-        provenance={"runs": {each.run.name: each.identity for each in models.values()}},
+        provenance={
+            "runs": {each.run.name: RunFolder(each.run).fingerprints(each.loader.stages) for each in models.values()}
+        },
     )
 
 
@@ -105,13 +109,13 @@ TABLE = Table(
 
 def text_motion_evaluators(config: EvalConfig) -> list[TextMotionEvaluator]:
     """The chosen evaluators that there are, by default `native`; raises `UsageError` if there is none."""
-    found = []
+    evaluators = []
     for name in config.evaluators or ("native",):
         with config.missing.skipping(f"--evaluator {name}"):
-            found.append(_evaluator(name, config))
-    if not found:
+            evaluators.append(_evaluator(name, config))
+    if not evaluators:
         raise UsageError("; ".join(config.missing.lines))
-    return found
+    return evaluators
 
 
 def _evaluator(name: str, config: EvalConfig) -> TextMotionEvaluator:
@@ -133,7 +137,7 @@ def _evaluator(name: str, config: EvalConfig) -> TextMotionEvaluator:
 
 def _models(config: EvalConfig) -> dict[str, TrainedModel]:
     """The run's models that know texts and, if trained, those of a single framerate from the run `RUN-fixed`."""
-    found = trained_models(config.run, config.missing)
+    models = trained_models(config.run, config.missing)
     for loader in installed_models().values():
         if config.run is None or not loader.fixed_fps_setting:
             continue
@@ -143,13 +147,13 @@ def _models(config: EvalConfig) -> dict[str, TrainedModel]:
                 setting = f"--set {loader.fixed_fps_setting}={float(DEFAULT_FPS):g}"
                 raise MotionkitError(f"there is no run {run.name!r} (motionkit train --run {run.name} {setting})")
             model = Trained(loader, run)
-            found[model.loaded.name + FIXED_ROW] = model
-    for name in list(found):
+            models[model.loaded.name + FIXED_ROW] = model
+    for name in list(models):
         # A model without texts has no row, nor do its longest motions limit others'.
-        if refused := refusal(found[name].loaded, GenerationRequest(None, "a person walks")):
+        if refused := refusal(models[name].loaded, GenerationRequest(None, "a person walks")):
             config.missing.add(f"{name}: {refused}")
-            del found[name]
-    return found
+            del models[name]
+    return models
 
 
 @dataclass(frozen=True)
@@ -222,61 +226,61 @@ class _Comparison:
                 rows.append(self._scored(RowId(folder.name), embedded))
         texts_ask = [f"r_precision_top{rank}" for rank in (1, 2, 3)]
         motions_ask = [f"{name}_motion_asks" for name in texts_ask]
-        asked, turned = (texts_ask, motions_ask) if protocol.asks == "text" else (motions_ask, texts_ask)
-        every = [*asked, "mm_dist", *filter(None, [self.evaluator.pair_score])]
+        main_way, other_way = (texts_ask, motions_ask) if protocol.asks == "text" else (motions_ask, texts_ask)
+        every = [*main_way, "mm_dist", *filter(None, [self.evaluator.pair_score])]
         every += ["fid", "diversity", protocol.multimodality.metric]
         oracle = self._oracle()
 
-        def block(title: str, names: list[str], found: Sequence[Row], note: str) -> Block:
+        def block(title: str, names: list[str], own_rows: Sequence[Row], note: str) -> Block:
             shown = {title_of(name): oracle[name] for name in names if name in oracle}
             ceiling = Row(ORACLE, "reference", shown, "the ceiling: motions that share a caption are indistinguishable")
             measures = tuple(measure(name, column=title_of(name)) for name in names)
             columns = (*map(title_of, names), COUNT)
-            return Block(f"{title}: {self.head}", columns, (ceiling, *found), False, note, self.provenance, measures)
+            return Block(f"{title}: {self.head}", columns, (ceiling, *own_rows), False, note, self.provenance, measures)
 
         notes = (COUNT_NOTE, *protocol.remarks, self.evaluator.remark_at(self.real.samples.fps))
-        found = [self._floor(), *(row.with_cells(_cells(row.scores, every), row.note) for row in rows)]
+        shown = [self._floor(), *(row.with_cells(_cells(row.scores, every), row.note) for row in rows)]
         own = {each.row: each.scores.values for each in rows if each.row != REAL}
         main, *differences = with_differences(
-            block("Table 1", every, found, " ".join(filter(None, notes))),
+            block("Table 1", every, shown, " ".join(filter(None, notes))),
             score_differences(own, {name: title_of(name) for name in every}),
         )
-        found = [row.with_cells(_cells(row.scores, turned)) for row in rows]
-        other_way = block("R-Precision the other way round", turned, found, OTHER_WAY_NOTE)
+        shown = [row.with_cells(_cells(row.scores, other_way)) for row in rows]
+        other = block("R-Precision the other way round", other_way, shown, OTHER_WAY_NOTE)
         retrieval = (self._retrieval(rule, index, rows) for index, rule in enumerate(protocol.retrieval))
-        return [main, other_way, *retrieval, *differences]
+        return [main, other, *retrieval, *differences]
 
     def _model_rows(self, name: str, trained: TrainedModel) -> list[ScoredRow]:
         """A model's rows, as generated and planted."""
-        config, lengths, wanted = self.config, kit_bone_lengths(self.real.samples), self.real.select(self.chosen)
+        config, lengths, real = self.config, kit_bone_lengths(self.real.samples), self.real.select(self.chosen)
         with task(config.on_progress, f"{self.evaluator.name}: {name}", note="motions generated") as work:
             motions = ModelMotions(name, trained.loaded, self.evaluator, config.seed, lengths, work.advance)
-            draws = [motions.draw(wanted, self.own.texts, number) for number in range(config.draws)]
-            repeated = motions.repeated(wanted, self.protocol.multimodality, config.max_motions)
+            draws = [motions.draw(real, self.own.texts, number) for number in range(config.draws)]
+            repeated = motions.repeated(real, self.protocol.multimodality, config.max_motions)
         rows = []
         for row in draws[0]:
-            made = (trained.note, "" if lengths is None else MADE_OF_22, VARIANT_NOTES.get(row.variant))
-            note = "; ".join((f"run {trained.run.name!r}", *filter(None, made)))
-            found = Embedded([draw[row] for draw in draws], self.chosen_rows, repeated.get(row), note)
-            rows.append(self._scored(row, found))
+            notes = (trained.note, "" if lengths is None else FROM_22_JOINTS, VARIANT_NOTES.get(row.variant))
+            note = "; ".join((f"run {trained.run.name!r}", *filter(None, notes)))
+            embedded = Embedded([draw[row] for draw in draws], self.chosen_rows, repeated.get(row), note)
+            rows.append(self._scored(row, embedded))
         return rows
 
-    def _scored(self, row: RowId, found: Embedded) -> ScoredRow:
-        config, notes = self.config, [found.note]
-        reference = self.pairs if found.real_rows is None else self.pairs.select(found.real_rows)
+    def _scored(self, row: RowId, embedded: Embedded) -> ScoredRow:
+        config, notes = self.config, [embedded.note]
+        reference = self.pairs if embedded.real_rows is None else self.pairs.select(embedded.real_rows)
         if row != REAL:
-            notes.append(size_remark(reference.motions, found.draws[0].motions, config.seed))
+            notes.append(size_remark(reference.motions, embedded.draws[0].motions, config.seed))
         ranked = tuple(
-            score_retrieval(reference, found.draws, rule, self.sentences[found.real_rows], config.seed)
+            score_retrieval(reference, embedded.draws, rule, self.sentences[embedded.real_rows], config.seed)
             for rule in self.protocol.retrieval
         )
         with task(config.on_progress, "scoring"):
             scores = score_text_motion(
                 reference,
-                found.draws,
+                embedded.draws,
                 self.protocol,
                 config.seed,
-                repeated=found.repeated,
+                repeated=embedded.repeated,
                 pair_score=self.evaluator.pair_score,
             )
         sizes = scores.sizes
@@ -305,9 +309,9 @@ class _Comparison:
                 order = np.random.default_rng((self.config.seed, replication, 6)).permutation(len(motions))
                 first, second = order[: len(order) // 2], order[len(order) // 2 :]
                 values.append(frechet_distance(fit_gaussian(motions[first]), fit_gaussian(motions[second])))
-        found = over_replications(values)
+        floor = over_replications(values)
         cells = {
-            title_of("fid"): Cell(found.value, found.ci95 * math.sqrt(len(values)) or None),
+            title_of("fid"): Cell(floor.value, floor.ci95 * math.sqrt(len(values)) or None),
             COUNT: Cell(len(motions) // 2),
         }
         return Row(FLOOR, "reference", cells, "FID between random halves of the real motions; ± is of a single split")

@@ -11,12 +11,10 @@ from eval.clip_fid.score import CLIP_FID, VERSION, FeatureSource, feature_source
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, measure, with_differences
 from eval.sets.motions import (
-    HELD_OUT_SHARE,
     STILL_METRES,
     VARIANT_NOTES,
     NoRealMotionError,
     TrainingWindows,
-    held_out_limit,
     real_motion,
     training_motion,
 )
@@ -47,6 +45,8 @@ HELD_OUT = RowId(REAL.system, Variant.HELD_OUT)
 COPIED = "copied (%)"
 SHARES = {"nearest (mm)": 0.0, "5 % (mm)": 0.05, "25 % (mm)": 0.25, "50 % (mm)": 0.5, "95 % (mm)": 0.95}
 MAX_COPIES = 60
+HELD_OUT_SHARE = 0.01
+"""Share of held-out real motion's windows that the limit calls copied."""
 COPIES_NOTE = (
     f"Copied are windows of a second that are nearer to training motion, for how much they move, than "
     f"{HELD_OUT_SHARE:.0%} of held-out real motion's. Windows that move less than {1000 * STILL_METRES:g} mm are left "
@@ -194,14 +194,15 @@ def copies_block(held_out: SampleSet, training: SampleSet, others: Mapping[RowId
     Sets without a moving second have no row. Raises `ValueError` where the training motion is too short.
     """
     windows = TrainingWindows.of(training)
-    found = {}
+    compared = {}
     # One thread is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
         for row, samples in {HELD_OUT: held_out, **others}.items():
             some = np.sort(np.random.default_rng(0).permutation(samples.num_sequences)[:MAX_COPIES])
-            found[row] = windows.nearest(samples.select(some))
-    limit, rows = held_out_limit(found[HELD_OUT]), []
-    for row, nearest in found.items():
+            compared[row] = windows.nearest(samples.select(some))
+    own = compared[HELD_OUT].relative
+    limit, rows = float(np.quantile(own, HELD_OUT_SHARE)) if len(own) else 0.0, []
+    for row, nearest in compared.items():
         if not len(nearest.distance):
             continue
         cells = {COPIED: Cell(100.0 * float((nearest.relative < limit).mean()))}

@@ -58,8 +58,8 @@ def compute(config: EvalConfig, store: Store) -> Content:
         recogniser = _recogniser(source, store, config)
 
     def real_actions(motion: RealMotion) -> ActionSet:
-        found = known_actions(motion.at(source.fps), recogniser.actions)
-        return replace(found, samples=with_rotations(store, found.samples)) if source.needs_rotations else found
+        known = known_actions(motion.at(source.fps), recogniser.actions)
+        return replace(known, samples=with_rotations(store, known.samples)) if source.needs_rotations else known
 
     with task(config.on_progress, "real motion"):
         compared = real_actions(real_motion(store, config.split, config.where))

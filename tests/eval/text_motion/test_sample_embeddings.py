@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from eval.native_evaluator.evaluator import NativeEvaluator
-from eval.sample_embeddings import AS_VECTORS, BY_JOINTS, sample_embeddings
 from eval.sample_folder import SampleFolder
 from eval.sample_folder.folder import SampleFolderError
 from eval.sets.sets import Ragged, SampleSet, sample_set
 from eval.text_motion.guo import KINDS, GuoEvaluator
-from eval.text_motion.motions import CaptionedMotions
+from eval.text_motion.motions import AS_VECTORS, BY_JOINTS, CaptionedMotions, sample_embeddings
 from eval.text_motion.protocol import find_text_motion_protocol
 from motionkit.core.errors import UsageError
 from motionkit.core.motion import Caption

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import motionkit as mk
-from eval.reconstruction import window_truth
+from eval.tables.nerm.reconstruction import window_truth
 from motionkit.core.motion import mirror_positions
 from motionkit.data.windows import WindowPoses, cut_windows, open_frames, training_rig, training_vectors, with_rotations
 from motionkit.features import field, native

@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from eval.reconstruction import (
+from eval.tables.nerm.reconstruction import (
     COUNT,
     DISTANCE,
     GLOBAL,
