@@ -52,8 +52,7 @@ def write_corpus_page(
     title = f"{store.path.absolute().name}: {counted(len(indices), 'sequence')}"
     data = {"store": str(store.path), "cards": list(cards())}
     page = filled("corpus.html", title, data_text(data), SCRIPTS, ("style.css", "corpus.css"))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, page.encode("utf-8"))
+    write_whole(path, page)
     return failures
 
 

@@ -8,13 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from importlib import resources
-from pathlib import Path
 from typing import Any, TypedDict
 
 import numpy as np
 
 from motionkit.core.errors import MotionkitError
-from motionkit.core.files import write_whole
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.shapes import Bool, Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
@@ -219,23 +217,17 @@ def player(title: str, data: str) -> str:
 
 
 def filled(page: str, title: str, data: str, scripts: Sequence[str], styles: Sequence[str]) -> str:
-    """A page of the folder `player_page` with title, data, scripts and styles inside."""
+    """The HTML of `player_page/shell.html` around another file of that folder, with scripts, styles and data inside."""
     folder = resources.files("motionkit.viz") / "player_page"
 
     def text(names: Sequence[str]) -> str:
         return "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in names)
 
-    contents = {"TITLE": html.escape(title), "STYLE": text(styles), "SCRIPTS": text(scripts), "DATA": data}
+    contents = {"STYLE": text(styles), "BODY": text([page]), "SCRIPTS": text(scripts)}
+    contents |= {"TITLE": html.escape(title), "DATA": data}
     # In one pass, since a title may contain any text.
-    result = re.sub("__(TITLE|STYLE|SCRIPTS|DATA)__", lambda place: contents[place[1]], text([page]))
+    result = re.sub(f"__({'|'.join(contents)})__", lambda place: contents[place[1]], text(["shell.html"]))
     return result.encode("utf-8", "backslashreplace").decode()  # bytes of a file's name may be no letters
-
-
-def write_page(path: Path, title: str, panels: Sequence[Panel], *, note: str = "") -> int:
-    """Write `page_of` some motions atomically, and return its size in bytes."""
-    content = page_of(title, panels, note=note).encode("utf-8")
-    write_whole(path, content)
-    return len(content)
 
 
 def data_of(title: str, panels: Sequence[Panel], note: str = "") -> dict[str, Any]:

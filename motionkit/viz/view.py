@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.core.errors import MotionkitError, UsageError, describe, printable
+from motionkit.core.files import write_whole
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.edit.motions import MotionSource, find_motions
 from motionkit.io.files import existing_path
 from motionkit.io.registry import ReadOptions
 from motionkit.viz import MOST_MOTIONS
-from motionkit.viz.player import Panel, check_places, packed_bytes, page_of, panel_of, write_page
+from motionkit.viz.player import Panel, check_places, packed_bytes, page_of, panel_of
 
 PAGE_SUFFIX = ".view.html"
 # Names combined from many files may exceed the system's limit, which is in bytes.
@@ -168,6 +169,5 @@ def page_path(out: Path | None, sources: Sequence[MotionSource], suffix: str = P
 
 def write_view(path: Path, panels: Sequence[Panel], interval: Interval) -> None:
     """Write the page of panels; raises `MotionkitError`."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     title = panels[0].name if len(panels) == 1 else f"{len(panels)} motions"
-    write_page(path, title, panels, note=f"Shown{interval}." if str(interval) else "")
+    write_whole(path, page_of(title, panels, note=f"Shown{interval}." if str(interval) else ""))

@@ -22,7 +22,7 @@ from motionkit.edit.motions import MotionSource
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.reports import summarise
 from motionkit.viz.corpus_card import corpus_card
-from motionkit.viz.player import Packed, Panel, drawing_of, pack, write_page
+from motionkit.viz.player import Packed, Panel, drawing_of, pack, page_of
 from motionkit.viz.view import MOST_NOTEBOOK_BYTES, spread
 from tests.helpers.analytic import analytic_motion
 from tests.helpers.packed import HALF_STEP, in_script, page_data, unpack
@@ -122,16 +122,13 @@ def standing(name: str, num_frames: int, fps: int, **more: Any) -> Panel:
 HOSTILE = '</script><b>&"__DATA__ __SCRIPTS__ \\1'
 
 
-def test_a_page_holds_its_motions_and_loads_nothing(tmp_path: Path) -> None:
+def test_a_page_holds_its_motions_and_loads_nothing() -> None:
     seen = np.arange(40) % 3 > 0
     takes = [
         standing(HOSTILE, 40, 120, observed=seen, captions=(mk.Caption("a & <b>", 0.0, 0.5),)),
         standing("slow", 20, 30, uneven_seconds=np.geomspace(1, 3, 20)),
     ]
-    size = write_page(tmp_path / "page.html", HOSTILE, takes, note="<i>")
-    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
-    text = (tmp_path / "page.html").read_text("utf-8")
-    assert len(text.encode()) == size
+    text = page_of(HOSTILE, takes, note="<i>")
     data = page_data(text)
     assert data["title"] == data["takes"][0]["name"] == HOSTILE and data["note"] == "<i>"
     for take, shown in zip(takes, data["takes"], strict=True):
@@ -150,14 +147,13 @@ def test_frames_of_a_take_keep_their_numbers_and_times() -> None:
     np.testing.assert_array_equal(uneven.frame_seconds(), np.geomspace(1, 9, 100)[30:65])
 
 
-def test_too_much_is_refused_with_a_stretch_that_fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_much_is_refused_with_a_stretch_that_fits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("motionkit.viz.player.MOST_PAGE_BYTES", 100_000)
     take = standing("long", 6000, 60)
     with pytest.raises(mk.MotionkitError, match=r"--from 0 --to \d+") as states:
-        write_page(tmp_path / "page.html", "long", [take])
+        page_of("long", [take])
     seconds = int(re.findall(r"--to (\d+)", str(states.value))[0])
-    write_page(tmp_path / "page.html", "long", [take.frames(0, 60 * seconds)])
-    (shown,) = page_data((tmp_path / "page.html").read_text("utf-8"))["takes"]
+    (shown,) = page_data(page_of("long", [take.frames(0, 60 * seconds)]))["takes"]
     assert len(shown["positions"]["steps"]) > 50_000
 
 
