@@ -34,17 +34,13 @@ class ReconstructsWindows(Protocol):
     @property
     def name(self) -> str:
         """Name for tables."""
-        ...
 
     @property
     def store_fingerprint(self) -> str:
         """Fingerprint of the store that it was trained on."""
-        ...
 
     def training_windows(self, store: Store) -> ModelWindows:
         """The training windows, from their trained latents."""
-        ...
 
     def other_windows(self, store: Store, where: str | None) -> ModelWindows:
         """Windows of the sequences that match this SQL condition; raises `UsageError` if there are none."""
-        ...

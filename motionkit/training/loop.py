@@ -27,7 +27,7 @@ from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError
 from motionkit.core.files import sync, whole_file, write_json
 from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.training.networks import ALONE, Ranks, resolve_device
-from motionkit.training.run import Began, RunError, StageContext, StageFolder, check_recorded, clear_stage
+from motionkit.training.run import HINT, Began, RunError, StageContext, StageFolder, check_recorded, clear_stage
 
 # Measured steps are spread evenly over the training, since early ones may cost less; rounds are repeated until this
 # share of the budget is spent.
@@ -50,15 +50,12 @@ class Trainable(Protocol):
 
         `step` counts from 0; all randomness comes from `generator` (on the CPU, the same on every rank).
         """
-        ...
 
     def state_tensors(self) -> dict[str, torch.Tensor]:
         """The complete training state: weights, optimiser moments, averages; complete on the first rank."""
-        ...
 
     def load_state_tensors(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Restore what `state_tensors` returned."""
-        ...
 
 
 def run_training(context: StageContext, training: Trainable, folder: StageFolder) -> dict[str, float]:
@@ -363,7 +360,6 @@ def dropout_from(generator: torch.Generator, device: torch.device, rank: int = 0
 
 
 DESCRIPTION = "description"
-HINT = "train the stage again with --overwrite, or restore the file from a copy"
 
 
 class CheckpointError(MotionkitError):
@@ -385,15 +381,15 @@ def save_tensors(path: Path, tensors: Mapping[str, torch.Tensor], description: M
             raise OSError(f"{path} cannot be written ({error})") from None
 
 
-def load_tensors(path: Path, hint: str = HINT) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+def load_tensors(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Read a file of `save_tensors`: tensors on the CPU, float16 as float32, and the description.
 
-    Raises `CheckpointError` for a missing file, and `DamagedFileError`, with `hint`, for one that is not whole, or not
-    what its folder's record of sha256 says.
+    Raises `CheckpointError` for a missing file, and `DamagedFileError` for one that is not whole, or not what its
+    folder's record of sha256 says.
     """
     if not path.is_file():
         raise CheckpointError(f"{path}: there is no such checkpoint")
-    check_recorded(path, hint)
+    check_recorded(path)
     try:
         with safe_open(path, framework="pt") as opened:
             description = json.loads((opened.metadata() or {}).get(DESCRIPTION, "{}"))
@@ -402,7 +398,7 @@ def load_tensors(path: Path, hint: str = HINT) -> tuple[dict[str, torch.Tensor],
             tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118
             return {name: t.float() if t.dtype == torch.float16 else t for name, t in tensors.items()}, description
     except (SafetensorError, ValueError, RecursionError) as error:
-        raise DamagedFileError(path, one_line(error), hint) from None
+        raise DamagedFileError(path, one_line(error), HINT) from None
 
 
 def one_line(error: Exception) -> str:
@@ -433,9 +429,8 @@ def prefixed(prefix: str, tensors: Mapping[str, torch.Tensor]) -> dict[str, torc
 
 def unprefixed(prefix: str, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Those tensors whose name starts with `prefix.`, without it."""
-    return {
-        name.removeprefix(f"{prefix}."): tensor for name, tensor in tensors.items() if name.startswith(f"{prefix}.")
-    }
+    start = f"{prefix}."
+    return {name.removeprefix(start): tensor for name, tensor in tensors.items() if name.startswith(start)}
 
 
 def read_foreign(path: Path) -> dict[str, Any]:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from motionkit.core import plugins
 from motionkit.core.files import require_new, sha256_of, write_json
@@ -32,7 +31,9 @@ def pack_run(run: RunFolder, out: Path, stages: Iterable[str], *, overwrite: boo
         require_new(own.path, overwrite=overwrite, replaced=Path.is_dir, instead="another folder keeps both")
         stage.check()
         tensors, description = load_tensors(stage.model_path)
-        kept = {each: _half(tensor) for each, tensor in plugins.load("STAGES", name).packed(tensors).items()}
+        kept = plugins.load("STAGES", name).packed(tensors)
+        # Vectors, such as scales in metres, and other types stay as they are.
+        kept = {each: t.half() if t.dtype == torch.float32 and t.ndim > 1 else t for each, t in kept.items()}
         own.path.mkdir(parents=True, exist_ok=True)
         save_tensors(own.model_path, kept, _with_names(description, packed))
         packed[sha256_of(stage.model_path)] = sha256_of(own.model_path)
@@ -42,11 +43,6 @@ def pack_run(run: RunFolder, out: Path, stages: Iterable[str], *, overwrite: boo
         own.finish(stage.read_summary())
         files += [path for path in own.result_paths if path.is_file()]
     return files
-
-
-def _half(tensor: Tensor) -> Tensor:
-    """A matrix of float32 as float16; vectors, such as scales in metres, and other types as they are."""
-    return tensor.half() if tensor.dtype == torch.float32 and tensor.ndim > 1 else tensor
 
 
 def _with_names(values: Mapping[str, Any], packed: Mapping[str, str]) -> dict[str, Any]:

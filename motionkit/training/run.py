@@ -114,7 +114,7 @@ class StageFolder:
         self.read_summary()
         if not self.model_path.is_file():
             raise RunError(f"{self.path} is called complete, but has no {self.model_path.name}")
-        check_recorded(self.model_path, HINT)
+        check_recorded(self.model_path)
 
     def effort(self) -> dict[str, str]:
         """Steps, parameters and processor time from the summary of a complete stage, as text."""
@@ -144,7 +144,7 @@ class StageFolder:
         if not self.metrics_path.is_file():
             return []
         if self.is_complete:
-            check_recorded(self.metrics_path, HINT)
+            check_recorded(self.metrics_path)
         metrics = []
         for line in self.metrics_path.read_text(encoding="utf-8").splitlines():
             with suppress(ValueError):
@@ -176,16 +176,16 @@ class StageFolder:
                 f"(motionkit train --stage {self.path.name} --run {self.path.parent.name})"
             )
         if self.is_complete:
-            check_recorded(path, HINT)
+            check_recorded(path)
         return read_json(path, HINT)
 
 
-def check_recorded(path: Path, hint: str) -> None:
+def check_recorded(path: Path) -> None:
     """Raise `DamagedFileError` for a file that is not what its folder's record of sha256 says, if it has one."""
     if (path.parent / RECORD).is_file():
-        recorded = read_record(path.parent, hint).get(path.name)
+        recorded = read_record(path.parent, HINT).get(path.name)
         if recorded is not None and recorded != sha256_of(path):
-            raise DamagedFileError(path, f"its content is not what {RECORD} says", hint)
+            raise DamagedFileError(path, f"its content is not what {RECORD} says", HINT)
 
 
 @dataclass(frozen=True)

@@ -44,21 +44,17 @@ class TextEncoder(Protocol):
     @property
     def name(self) -> str:
         """Its requested name: `minilm`, `clip`, a folder or a hub name."""
-        ...
 
     @property
     def fingerprint(self) -> str:
         """Hexadecimal hash of weights and pooling: equal embeddings for equal fingerprints."""
-        ...
 
     @property
     def dimension(self) -> int:
         """Size of an embedding."""
-        ...
 
     def encode(self, texts: Sequence[str]) -> Float32[np.ndarray, "texts dimension"]:
         """One embedding per text, in order."""
-        ...
 
 
 def load_text_encoder(name: str) -> TextEncoder:
