@@ -10,7 +10,7 @@ Quaternions are (w, x, y, z), float64; their rates are rotation vectors per seco
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -307,73 +307,62 @@ def _hold(observations: Sequence[Observation]) -> PosesAt:
     return poses_at
 
 
-def _on_positions(kind: CurveKind) -> Callable[[Sequence[Observation]], PosesAt]:
-    def fit(observations: Sequence[Observation]) -> PosesAt:
-        observed = np.stack([observation.poses.joint_positions for observation in observations], axis=1)
-        positions = curve(kind, observations[0].times_seconds, observed)
+def _on_positions(kind: CurveKind, observations: Sequence[Observation]) -> PosesAt:
+    observed = np.stack([observation.poses.joint_positions for observation in observations], axis=1)
+    positions = curve(kind, observations[0].times_seconds, observed)
 
-        def poses_at(times: Times) -> list[Poses]:
-            sampled = positions(times).astype(np.float32)
-            return [Poses(np.ascontiguousarray(sampled[:, motion])) for motion in range(len(observations))]
+    def poses_at(times: Times) -> list[Poses]:
+        sampled = positions(times).astype(np.float32)
+        return [Poses(np.ascontiguousarray(sampled[:, motion])) for motion in range(len(observations))]
 
-        return poses_at
-
-    return fit
+    return poses_at
 
 
-def _on_rotations(rotation_kind: RotationKind, root_kind: CurveKind) -> Callable[[Sequence[Observation]], PosesAt]:
+def _on_rotations(rotation_kind: RotationKind, root_kind: CurveKind, observations: Sequence[Observation]) -> PosesAt:
     """Interpolates rotations, from inverse kinematics if there are none; the field has rotations only if observed."""
+    times_seconds, skeleton = observations[0].times_seconds, observations[0].skeleton
+    joints = Joints.stacked([Joints.of(observation.poses, observation.skeleton) for observation in observations])
+    # Joints of all motions side by side.
+    shape = joints.rotations.shape[1:]
+    rotations = rotation_curve(rotation_kind, times_seconds, joints.rotations.reshape(len(times_seconds), -1, 4))
+    bones = curve(root_kind, times_seconds, joints.bones)
+    # Hips that travel in a reference on the floor continue like a root; bones keep their last length.
+    travels = np.ptp(joints.bones, axis=0).max(axis=-1) > _TRAVELLING_METRES
+    root = curve(root_kind, times_seconds, joints.root)
+    translations = [
+        None if each.poses.root_translation is None else curve(root_kind, times_seconds, each.poses.root_translation)
+        for each in observations
+    ]
 
-    def fit(observations: Sequence[Observation]) -> PosesAt:
-        times_seconds, skeleton = observations[0].times_seconds, observations[0].skeleton
-        joints = Joints.stacked([Joints.of(observation.poses, observation.skeleton) for observation in observations])
-        # Joints of all motions side by side.
-        shape = joints.rotations.shape[1:]
-        rotations = rotation_curve(rotation_kind, times_seconds, joints.rotations.reshape(len(times_seconds), -1, 4))
-        bones = curve(root_kind, times_seconds, joints.bones)
-        # Hips that travel in a reference on the floor continue like a root; bones keep their last length.
-        travels = np.ptp(joints.bones, axis=0).max(axis=-1) > _TRAVELLING_METRES
-        root = curve(root_kind, times_seconds, joints.root)
-        translations = [
-            None
-            if observation.poses.root_translation is None
-            else curve(root_kind, times_seconds, observation.poses.root_translation)
-            for observation in observations
+    def poses_at(times: Times) -> list[Poses]:
+        turned = rotations(times).reshape(len(times), *shape)
+        bones_then = bones.clamped(times)
+        if travels.any():
+            bones_then[:, travels] = bones(times)[:, travels]
+        positions = Joints(turned, bones_then, root(times)).positions(skeleton)
+        return [
+            Poses(
+                np.ascontiguousarray(positions[:, motion]),
+                None if observation.poses.local_rotations is None else turned[:, motion].astype(np.float32),
+                None if translation is None else translation(times).astype(np.float32),
+            )
+            for motion, (observation, translation) in enumerate(zip(observations, translations, strict=True))
         ]
 
-        def poses_at(times: Times) -> list[Poses]:
-            turned = rotations(times).reshape(len(times), *shape)
-            bones_then = bones.clamped(times)
-            if travels.any():
-                bones_then[:, travels] = bones(times)[:, travels]
-            positions = Joints(turned, bones_then, root(times)).positions(skeleton)
-            return [
-                Poses(
-                    joint_positions=np.ascontiguousarray(positions[:, motion]),
-                    local_rotations=(
-                        None if observation.poses.local_rotations is None else turned[:, motion].astype(np.float32)
-                    ),
-                    root_translation=None if translation is None else translation(times).astype(np.float32),
-                )
-                for motion, (observation, translation) in enumerate(zip(observations, translations, strict=True))
-            ]
-
-        return poses_at
-
-    return fit
+    return poses_at
 
 
 INTERPOLATORS: dict[Method, Interpolator] = {
     interpolator.name: interpolator
     for interpolator in (
         Interpolator("hold", _hold),
-        Interpolator("linear", _on_positions("linear")),
-        Interpolator("catmull-rom", _on_positions("catmull-rom")),
-        Interpolator("cubic", _on_positions("cubic")),
-        Interpolator("slerp", _on_rotations("slerp", "linear")),
-        Interpolator("rotation-catmull-rom", _on_rotations("catmull-rom", "catmull-rom")),
-        Interpolator("squad", _on_rotations("squad", "catmull-rom")),
-        Interpolator("rotation-cubic", _on_rotations("cubic", "cubic")),
+        Interpolator("linear", partial(_on_positions, "linear")),
+        Interpolator("catmull-rom", partial(_on_positions, "catmull-rom")),
+        Interpolator("cubic", partial(_on_positions, "cubic")),
+        Interpolator("slerp", partial(_on_rotations, "slerp", "linear")),
+        Interpolator("rotation-catmull-rom", partial(_on_rotations, "catmull-rom", "catmull-rom")),
+        Interpolator("squad", partial(_on_rotations, "squad", "catmull-rom")),
+        Interpolator("rotation-cubic", partial(_on_rotations, "cubic", "cubic")),
     )
 }
 

@@ -323,12 +323,12 @@ def at_fps(field: MotionField, fps: Fraction) -> MotionField:
     return field.at_fps(fps) if isinstance(field, FramerateConditioned) else field
 
 
-def to_motion(field: MotionField, fps: Fraction, provenance: Provenance | None = None) -> Motion:
+def to_motion(field: MotionField, fps: Fraction) -> Motion:
     """Sample the whole field uniformly: frame k at start_seconds + k / fps, as far as the domain reaches."""
     num_frames = num_frames_within(field.end_seconds - field.start_seconds, fps)
     grid = TimeGrid(fps, num_frames, field.start_seconds)
     poses = at_fps(field, fps).query(np.minimum(grid.seconds(), field.end_seconds))
-    return poses.at(grid, field.skeleton, provenance)
+    return poses.at(grid, field.skeleton)
 
 
 @dataclass(frozen=True, eq=False)

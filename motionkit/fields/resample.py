@@ -82,11 +82,8 @@ def begin_completion(
     the new grid, within a microsecond, are the given ones to the last bit (quaternions up to their sign, which follows
     their neighbours). An encoder that misses them leaves a jump there; `motionkit.fields.anchoring` removes it. The
     grid starts at the motion's first frame, or by whole frames earlier. Beyond both ends `hold` stands still (the
-    zero-velocity row of tables), other interpolators go on at constant velocity. Raises `ValueError` for negative
-    seconds.
+    zero-velocity row of tables), other interpolators go on at constant velocity.
     """
-    if not (0 <= before_seconds < np.inf and 0 <= after_seconds < np.inf):
-        raise ValueError(f"seconds to extend by must be 0 or more, not {before_seconds:g} and {after_seconds:g}")
     before = int(np.floor(before_seconds * float(fps) + _TOLERANCE_FRAMES))
     after = num_frames_within(span[1] - span[0] + after_seconds, fps)
     grid = TimeGrid(fps, before + after, span[0] - float(before / fps))

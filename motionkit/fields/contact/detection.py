@@ -94,7 +94,7 @@ def ground_of(paths: Float[np.ndarray, "instants feet ends 3"], fps: float) -> G
 
     A foot that never touches the ground gets the other's level, plus up to 4 cm.
     """
-    speed = _lengths(velocities(paths.astype(np.float64), fps))
+    speed = np.linalg.norm(velocities(paths.astype(np.float64), fps), axis=-1)
     level, floor = np.empty((2, 2)), np.empty((2, 2))
     for foot, end in np.ndindex(2, 2):
         height = paths[:, foot, end, 1].astype(np.float64)
@@ -111,7 +111,7 @@ def find_contacts(
 ) -> Contacts:
     """Contacts of foot joints sampled at `fps`: the `predicted` ones, else detected from their paths."""
     velocity = velocities(paths, fps)
-    speed = _lengths(velocity)
+    speed = np.linalg.norm(velocity, axis=-1)
     height = _above_ground(paths[..., 1] - ground.level, fps)
     level_speed = np.hypot(velocity[..., 0], velocity[..., 2])
     down = _down(height, speed, fps, 0) if predicted is None else _cleaned(predicted, fps)
@@ -144,10 +144,6 @@ def velocities(paths: FootPaths, fps: float) -> FootPaths:
     result[reach:-reach] *= fps / (2 * reach)
     result[:reach], result[-reach:] = result[reach], result[-reach - 1]
     return result
-
-
-def _lengths(vectors: Float64[np.ndarray, "*shape 3"]) -> Float64[np.ndarray, "*shape"]:
-    return np.asarray(np.sqrt(np.einsum("...x,...x->...", vectors, vectors)))
 
 
 def _above_ground(height: PerEnd, fps: float) -> PerEnd:

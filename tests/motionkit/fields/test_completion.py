@@ -83,9 +83,6 @@ def test_extrapolation_adds_whole_frames() -> None:
     assert np.allclose(longer.joint_positions[0], motion.joint_positions[0] - step, atol=1e-5)
     still = complete(motion, INTERPOLATORS["hold"], after_seconds=1.0)
     assert still.num_frames == 40 and np.array_equal(still.joint_positions[-1], motion.joint_positions[-1])
-    for seconds in (-1.0, np.nan):
-        with pytest.raises(ValueError, match=f"{seconds:g}"):
-            complete(motion, INTERPOLATORS["hold"], before_seconds=seconds)
 
 
 @dataclass(frozen=True)
