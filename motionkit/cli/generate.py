@@ -21,8 +21,7 @@ def generate(
         Path | None, typer.Option(help="A .txt with a text per line, or a .csv of text, action, seconds.")
     ] = None,
     fps: Annotated[
-        str | None,
-        typer.Option(help="Any framerate: 144, 23.976, 24000/1001 (else the highest trained)."),
+        str | None, typer.Option(help="Any framerate: 144, 23.976, 24000/1001 (else the highest trained).")
     ] = None,
     seconds: Annotated[
         float | None, typer.Option(help="Length of each motion; drawn from the training data's by default.")
@@ -84,13 +83,7 @@ def generate(
     Example: motionkit generate --unconditional --seconds 4 --fps 120 -n 4 --out made --format bvh"""
     from motionkit.generate.models import SamplingOptions, load_model, model_of, warn_above_training
     from motionkit.generate.output import Job, locked_output, output_format
-    from motionkit.generate.request import (
-        MotionsRequest,
-        parse_constraints,
-        parse_prompts,
-        parse_times,
-        read_path,
-    )
+    from motionkit.generate.request import MotionsRequest, parse_constraints, parse_prompts, parse_times, read_path
     from motionkit.store import Store
     from motionkit.training.detail import load_detail
     from motionkit.training.run import RunFolder, find_run, loader_named

@@ -32,10 +32,7 @@ SHOWN_KINDS, MAX_PRINTED_OF_A_REASON = 5, 5
 
 
 def ingest(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(help="Files and folders of motions.", show_default=False),
-    ],
+    sources: Annotated[list[Path], typer.Argument(help="Files and folders of motions.", show_default=False)],
     store: Annotated[Path | None, typer.Option(help="Store to create or to add to.", show_default="./store")] = None,
     format: Annotated[str, typer.Option(help="auto detects it by name and content; or one format's name.")] = "auto",
     captions: Annotated[

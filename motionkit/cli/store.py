@@ -6,16 +6,7 @@ from typing import Annotated
 
 import typer
 
-from motionkit.cli.console import (
-    AsJson,
-    StoreArgument,
-    Where,
-    named_store,
-    of_default,
-    print_json,
-    progress,
-    stdout,
-)
+from motionkit.cli.console import AsJson, StoreArgument, Where, named_store, of_default, print_json, progress, stdout
 from motionkit.core.errors import UsageError, counted, lasting
 from motionkit.core.files import default_path
 from motionkit.core.progress import task

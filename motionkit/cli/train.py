@@ -25,14 +25,7 @@ from motionkit.core import plugins
 from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
 from motionkit.core.files import default_path
 from motionkit.core.progress import ignore, task
-from motionkit.training.config import (
-    apply_overrides,
-    flatten,
-    parse_override,
-    setting_text,
-    to_plain,
-    unknown_setting,
-)
+from motionkit.training.config import apply_overrides, flatten, parse_override, setting_text, to_plain, unknown_setting
 from motionkit.training.run import (
     Began,
     OnMetrics,

@@ -16,15 +16,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float64, Int, Int64
 from motionkit.core.timegrid import SAME_SECONDS, Framerate, TimeGrid, num_frames_within, parse_fps
 from motionkit.fields.interpolation import INTERPOLATORS, Method, interpolator_of
-from motionkit.fields.motion_field import (
-    Joints,
-    MotionEncoder,
-    MotionField,
-    Observation,
-    Poses,
-    Times,
-    at_fps,
-)
+from motionkit.fields.motion_field import Joints, MotionEncoder, MotionField, Observation, Poses, Times, at_fps
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

@@ -37,15 +37,7 @@ from motionkit.core.files import (
     write_whole,
 )
 from motionkit.core.progress import OnProgress, ignore, warn
-from motionkit.training.config import (
-    ConfigLike,
-    ConfigT,
-    apply_overrides,
-    flatten,
-    leaves,
-    parse_override,
-    to_plain,
-)
+from motionkit.training.config import ConfigLike, ConfigT, apply_overrides, flatten, leaves, parse_override, to_plain
 
 if TYPE_CHECKING:
     from motionkit.store.reader import Store
