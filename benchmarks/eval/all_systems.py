@@ -1,0 +1,243 @@
+"""Every generative system with the same trials and the same processor time: trainings, evaluations, one table.
+
+    python -m benchmarks.eval.all_systems trials --store S --runs R                 # each system's settings, on val
+    python -m benchmarks.eval.all_systems train --store S --runs R --budget 360 --seeds 0,1,2
+    python -m benchmarks.eval.all_systems evaluate --store S --runs R --evaluator RUN
+    python -m benchmarks.eval.all_systems_table --results RESULTS                    # the table and the figure
+
+A budget is the processor time that the operating system counts for a system's trainings, from the start of Python to
+the last weight on disk, with an empty cache each: reading the store, pose vectors, text embeddings, linear fits,
+autoencoders and contact heads are in it. Each system has five trials on the validation part: three learning rates, then
+guidance and sampling steps, or batch sizes and a rate more where nothing is guided. The best by clip-FID of planted
+motion at 60 fps is trained with each seed. All motion is planted by detected contacts; NeRM's by its own too.
+"""
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.command import arguments_parser
+from motionkit.core import plugins
+from motionkit.core.files import sha256_of, write_json
+from motionkit.generate.models import installed_models
+from motionkit.training.config import flatten, parse_override
+from motionkit.training.loop import load_tensors, save_tensors
+from motionkit.training.run import RunFolder
+from nerm.model import load_denoiser, load_field, save_denoiser, save_field
+from nerm.recipes import LOCAL
+
+TRIALS = Path("docs/results/all-systems-trials.json")
+TRIAL_SEED, TRIAL_SECONDS, TRIAL_FPS = 10, 120.0, "60 fps"
+# What a process needs outside of a stage's clock, in processor seconds.
+OUTSIDE_SECONDS = 2.0
+FACTORS = (1.0, 3.0, 1 / 3)
+# Each system's two trials of how a trained network is sampled.
+GUIDED = {
+    "nerm": ("denoiser:denoiser.diffusion.guidance_scale=1", "denoiser:denoiser.diffusion.sampling_steps=25"),
+    "mdm": ("mdm:network.diffusion.guidance_scale=1", "mdm:network.diffusion.sampling_steps=10"),
+    "mdm-50": ("mdm-50:network.diffusion.guidance_scale=1", "mdm-50:network.diffusion.sampling_steps=10"),
+    "mld": ("mld:network.diffusion.guidance_scale=1", "mld:network.diffusion.guidance_scale=2.5"),
+    "camdm": ("camdm:network.diffusion.guidance_scale=1.5", "camdm:network.diffusion.guidance_scale=2.5"),
+    "flow": ("flow:network.guidance_scale=2", "flow:network.sampling_steps=10"),
+}
+# Encoding variations takes longer than six minutes; 1,000 steps of MDM take 6 s a motion.
+FIXED = {"nerm": ("denoiser:denoiser.variations=0",), "mdm": ("mdm:network.diffusion.sampling_steps=50",)}
+OWN = "-own-contacts"
+
+
+def stages_of(system: str) -> list[tuple[str, float]]:
+    """A system's stages in order, with their shares of its budget."""
+    names = (("codebook",) if system == "nerm" else ()) + installed_models()[system].stages
+    return [(name, plugins.load("STAGES", name).share) for name in names]
+
+
+def rates(system: str, factor: float) -> tuple[str, ...]:
+    """The settings of all learning rates of a system's `nano`, times a factor."""
+    found = []
+    for stage, _ in stages_of(system):
+        for key, value in flatten(plugins.load("STAGES", stage).recipe("nano")).items():
+            is_own = system != "nerm" or key.startswith(f"{stage}.")
+            if key.endswith("learning_rate") and is_own and stage != "codebook":
+                found.append(f"{stage}:{key}={factor * value:.4g}")
+    return tuple(found)
+
+
+def halved_batches(system: str) -> tuple[str, ...]:
+    """The settings of half of each batch of a system's `nano`."""
+    schedules = {stage: plugins.load("STAGES", stage).recipe("nano").schedule for stage, _ in stages_of(system)}
+    return tuple(f"{stage}:schedule.batch_size={schedule.batch_size // 2}" for stage, schedule in schedules.items())
+
+
+def candidates(system: str, scores: Sequence[float]) -> tuple[tuple[str, ...], ...]:
+    """The settings of the trials that can be made after those with `scores`: three rates, then two more."""
+    first = [rates(system, factor) for factor in FACTORS]
+    if len(scores) < len(FACTORS):
+        return tuple(first)
+    best = int(np.argmin(scores[: len(FACTORS)]))
+    if system in GUIDED:
+        return (*first, *((*first[best], each) for each in GUIDED[system]))
+    beyond = {0: 3**0.5, 1: 9.0, 2: 1 / 9}[best]
+    return (*first, rates(system, beyond), (*first[best], *halved_batches(system)))
+
+
+def train(system: str, run: Path, store: Path, budget: float, settings: Iterable[str], seed: int) -> None:
+    """Train a system's stages into a run; each gets its share of what earlier ones have left."""
+    cache, stages, left = run.parent / f"cache-{run.name}-{system}", stages_of(system), budget
+    for number, (stage, share) in enumerate(stages):
+        spent_path = run / stage / "spent.json"
+        if not spent_path.is_file():
+            own = left * share / sum(share for _, share in stages[number:]) - OUTSIDE_SECONDS
+            command = [sys.executable, "-m", "motionkit", "train", "--stage", stage, "--recipe", "nano", "--overwrite"]
+            command += ["--store", str(store), "--runs", str(run.parent), "--run", run.name, "--seed", str(seed)]
+            command += ["--budget", f"{own:.1f}s"]
+            for of_stage, _, text in (each.partition(":") for each in (*FIXED.get(system, ()), *settings)):
+                command += ["--set", text] if of_stage == stage else []
+            environment = {**os.environ, "OMP_NUM_THREADS": "1", "MOTIONKIT_CACHE": str(cache)}
+            with (run.parent / f"{run.name}-{stage}.log").open("w") as log:
+                process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
+                _, status, usage = os.wait4(process.pid, 0)
+            if status:
+                raise SystemExit(f"{' '.join(command)} failed: {log.name}")
+            spent_path.write_text(json.dumps({"cpu_seconds": usage.ru_utime + usage.ru_stime}))
+        left -= json.loads(spent_path.read_text())["cpu_seconds"]
+    shutil.rmtree(cache, ignore_errors=True)
+    print(f"{run.name}: {system} took {budget - left:.1f} of {budget:g} processor seconds", file=sys.stderr)
+
+
+def sample_otherwise(trained: Path, run: Path, system: str, settings: Iterable[str]) -> None:
+    """Copy a system to another run, to be sampled with other settings."""
+    for stage, _ in stages_of(system):
+        shutil.copytree(trained / stage, run / stage, dirs_exist_ok=True)
+    for stage, _, text in (each.partition(":") for each in settings):
+        key, value = parse_override(text)
+        folder = RunFolder(run).stage(stage)
+        tensors, description = load_tensors(folder.model_path)
+        config = description["config"]
+        *names, last = key.removeprefix("denoiser.").split(".")
+        for name in names:
+            config = config[name]
+        config[last] = type(config[last])(value)
+        save_tensors(folder.model_path, tensors, description)
+        folder.finish(folder.read_summary())
+
+
+def evaluate(table: str, run: Path, store: Path, results: Path, *options: str) -> dict[str, Any]:
+    """A table of a run, as JSON."""
+    command = [sys.executable, "-m", "motionkit", "eval", "--table", table, "--store", str(store), "--json"]
+    command += ["--runs", str(run.parent), "--run", run.name, "--results", str(results / run.name), *options]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment, check=True)
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def planted_scores(result: Mapping[str, Any]) -> dict[str, float]:
+    """clip-FID of planted motion at `TRIAL_FPS` by system's name in tables."""
+    rows = {row["name"]: row["cells"] for row in result["blocks"][0]["rows"]}
+    suffix = ", planted"
+    return {n.removesuffix(suffix): rows[n][TRIAL_FPS]["value"] for n in rows if n.endswith(suffix)}
+
+
+def title(system: str) -> str:
+    """A system's name in tables."""
+    return LOCAL if system == "nerm" else installed_models()[system].title
+
+
+def run_trials(systems: Sequence[str], runs: Path, store: Path, results: Path) -> None:
+    """Five trials of each system on the validation part; writes the settings and scores of all to `TRIALS`."""
+    scores: dict[str, list[float]] = {system: [] for system in systems}
+    found: dict[str, list[dict[str, Any]]] = {system: [] for system in systems}
+
+    def prepare(system: str, number: int) -> None:
+        settings, run = candidates(system, scores[system])[number], runs / f"trial-{number}"
+        if number >= len(FACTORS) and system in GUIDED:
+            best = int(np.argmin(scores[system][: len(FACTORS)]))
+            sample_otherwise(runs / f"trial-{best}", run, system, settings)
+        else:
+            without_contacts = ("field:field.contact_steps=0",) if system == "nerm" else ()
+            train(system, run, store, TRIAL_SECONDS, (*settings, *without_contacts), TRIAL_SEED)
+        found[system].append({"settings": settings})
+
+    for number in range(len(FACTORS) + 2):
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+            list(pool.map(prepare, systems, [number] * len(systems)))
+        options = ("--split", "val", "--fps", TRIAL_FPS.partition(" ")[0], "--replications", "4")
+        of_run = planted_scores(evaluate("2", runs / f"trial-{number}", store, results, *options))
+        for system in systems:
+            score = of_run.get(title(system), math.inf)
+            scores[system].append(score)
+            found[system][number]["clip_fid"] = score
+    write_json(TRIALS, {"seconds": TRIAL_SECONDS, "seed": TRIAL_SEED, "trials": found})
+
+
+def chosen(system: str) -> tuple[str, ...]:
+    """The settings of a system's best trial."""
+    trials = json.loads(TRIALS.read_text())["trials"][system]
+    return tuple(min(trials, key=lambda trial: float(trial["clip_fid"]))["settings"])
+
+
+def split_contacts(run: Path) -> Path:
+    """Move NeRM's contact head into a copy of its stages, so that the run's motion is planted by detected contacts."""
+    own = run.with_name(run.name + OWN)
+    if not own.is_dir() and (run / "field").is_dir():
+        for name in ("codebook", "field", "denoiser"):
+            shutil.copytree(run / name, own / name)
+        field, denoiser = RunFolder(run).stage("field"), RunFolder(run).stage("denoiser")
+        save_field(field, replace(load_field(own), contacts=None))
+        trained = load_denoiser(RunFolder(own))
+        save_denoiser(denoiser, replace(trained, field_sha256=sha256_of(field.model_path)))
+        for stage in (field, denoiser):
+            stage.finish(json.loads(stage.summary_path.read_text()))
+    return own
+
+
+def evaluate_runs(runs: Path, store: Path, results: Path, evaluator: Path) -> None:
+    """Tables 1 and 2 of every run on the test part, and Table 2 of NeRM planted by its own contacts."""
+    for run in sorted(runs.glob("*s-[0-9]")):
+        own = split_contacts(run)
+        shutil.copytree(evaluator / "evaluator", run / "evaluator", dirs_exist_ok=True)
+        for each, table in ((run, "2"), (run, "1"), (own, "2")):
+            if each.is_dir() and not (results / each.name / f"nerm-table{table}.json").is_file():
+                evaluate(table, each, store, results, *(("--fps", "20,60,120") if table == "2" else ()))
+
+
+def main() -> None:
+    parser = arguments_parser(__doc__)
+    parser.add_argument("command", choices=("trials", "train", "evaluate"))
+    parser.add_argument("--systems", default=",".join(installed_models()))
+    parser.add_argument("--store", type=Path, default=Path("store"))
+    parser.add_argument("--runs", type=Path, default=Path("runs"))
+    parser.add_argument("--results", type=Path, default=Path("results"))
+    parser.add_argument("--evaluator", type=Path, default=Path("runs/nano"), help="a run with a trained evaluator")
+    parser.add_argument("--budget", type=float, default=360.0, help="processor seconds of a system")
+    parser.add_argument("--seeds", default="0,1,2")
+    given = parser.parse_args()
+    systems = given.systems.split(",")
+    if given.command == "trials":
+        run_trials(systems, given.runs, given.store, given.results)
+    elif given.command == "evaluate":
+        evaluate_runs(given.runs, given.store, given.results, given.evaluator)
+    else:
+        seeds = [int(seed) for seed in given.seeds.split(",")]
+
+        def train_one(job: tuple[int, str]) -> None:
+            seed, system = job
+            run = given.runs / f"{given.budget:g}s-{seed}"
+            train(system, run, given.store, given.budget, chosen(system), seed)
+
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+            list(pool.map(train_one, [(seed, system) for seed in seeds for system in systems]))
+
+
+if __name__ == "__main__":
+    main()

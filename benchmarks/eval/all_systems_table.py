@@ -1,0 +1,95 @@
+"""The table and the figure of all systems, from the results that benchmarks.eval.all_systems has written.
+
+    python -m benchmarks.eval.all_systems_table --results RESULTS [--image docs/images/all-systems.png]
+
+A row's figures are of planted motion, means over the training seeds with the lowest and the highest.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from benchmarks.command import arguments_parser
+from benchmarks.eval.all_systems import OWN, title
+from motionkit.generate.models import installed_models
+from nerm.recipes import LOCAL
+
+FPS, PLANTED = "60 fps", ", planted"
+COLUMNS = ("20 fps", FPS, "120 fps", "recall", "precision", "T", "12–18 Hz", "R-Precision, top 3 ↑")
+REFERENCES = ("training takes, as a generator", "training takes, as long as generated motions")
+
+Figures = Mapping[str, float]
+
+
+def figures_of(folder: Path) -> dict[str, dict[str, float]]:
+    """The figures of each planted row of a run's results, and of real motion, by column."""
+    rows: dict[str, dict[str, float]] = {}
+    for table, beginning in (("2", "clip-FID"), ("2", f"Detail profile, {FPS}"), ("1", "Table 1")):
+        path = folder / f"nerm-table{table}.json"
+        for block in json.loads(path.read_text())["blocks"] if path.is_file() else ():
+            if not block["title"].startswith(beginning) or "differences" in block["title"]:
+                continue
+            for row in block["rows"]:
+                if row["name"] in REFERENCES or row["name"].endswith(PLANTED):
+                    found = rows.setdefault(row["name"].removesuffix(PLANTED), {})
+                    found |= {column: cell["value"] for column, cell in row["cells"].items()}
+                    # Precision and recall are details of a clip-FID.
+                    found |= row["cells"].get(FPS, {}).get("details", {})
+    return rows
+
+
+def spread(values: Sequence[float]) -> str:
+    """The mean of the training seeds, with the lowest and the highest."""
+    mean = f"{np.mean(values):.3g}" if values else "–"
+    return mean if len(values) < 2 else f"{mean} ({min(values):.3g} to {max(values):.3g})"
+
+
+def median(found: Sequence[Figures], column: str = FPS) -> float:
+    """The median of a column over seeds; infinity without any."""
+    return float(np.median([each[column] for each in found if column in each] or [math.inf]))
+
+
+def draw(rows: Mapping[str, Sequence[Figures]], later: Mapping[str, Sequence[float]], path: Path) -> None:
+    """clip-FID of planted motion by system: a dot for each training seed, a ring for a long training."""
+    systems = sorted((name for name in rows if name not in REFERENCES), key=lambda name: -median(rows[name]))
+    figure, axes = plt.subplots(figsize=(7, 0.34 * len(systems) + 1.2), layout="constrained")
+    for place, name in enumerate(systems):
+        values = [each[FPS] for each in rows[name] if FPS in each]
+        axes.plot(values, [place] * len(values), "o", color="tab:blue", markersize=5)
+        axes.plot(later[name], [place] * len(later[name]), "o", color="tab:blue", markersize=9, markerfacecolor="none")
+    for name in REFERENCES:
+        axes.axvline(median(rows[name]), color="0.6", linewidth=1)
+    axes.set(xscale="log", xlabel=f"clip-FID of planted motion at {FPS}")
+    axes.set_yticks(range(len(systems)), systems)
+    figure.savefig(path, dpi=150)
+
+
+def main() -> None:
+    parser = arguments_parser(__doc__)
+    parser.add_argument("--results", type=Path, default=Path("results"))
+    parser.add_argument("--image", type=Path)
+    given = parser.parse_args()
+    of_run = {path.name: figures_of(path) for path in sorted(given.results.glob("*s-[0-9]"))}
+    budgets = sorted({float(name.partition("s-")[0]) for name in of_run})
+    seeds = [[found for name, found in of_run.items() if name.startswith(f"{each:g}s-")] for each in budgets]
+    names = (*REFERENCES, *map(title, installed_models()))
+    rows = {name: [each.get(name, {}) for each in seeds[0]] for name in names}
+    own = [figures_of(path) for path in sorted(given.results.glob(f"{budgets[0]:g}s-[0-9]{OWN}"))]
+    rows[f"{LOCAL}, its own contacts"] = [each.get(LOCAL, {}) for each in own]
+    long = seeds[-1] if len(seeds) > 1 else []
+    later = {name: [each[name][FPS] for each in long if name in each] for name in rows}
+    print(" | ".join(("|", *COLUMNS, f"{FPS}, {budgets[-1] / 60:g} minutes |")))
+    print("|---" * (len(COLUMNS) + 2) + "|")
+    for name, found in sorted(rows.items(), key=lambda row: (row[0] not in REFERENCES, median(row[1]))):
+        texts = [spread([each[column] for each in found if column in each]) for column in COLUMNS]
+        print(" | ".join((f"| {name}", *texts, f"{spread(later[name])} |")))
+    if given.image:
+        draw(rows, later, given.image)
+
+
+if __name__ == "__main__":
+    main()
