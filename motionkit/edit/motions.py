@@ -167,7 +167,7 @@ def _load_item(item: SourceItem, options: ReadOptions) -> LoadedMotion:
         return replace(LoadedMotion.of(document.motion), document=document, suffix=".bvh")
     motion, valid, uneven_seconds = read_with_missing(item, options)
     suffix, note = item.path.suffix.lower(), ""
-    if suffix == ".npy" and pose_vectors.accepts(FileHead(item.path)):
+    if suffix == ".npy" and FileHead(item.path).row_width in pose_vectors.LAYOUT_BY_WIDTH:
         return LoadedMotion(motion, valid, uneven_seconds, suffix=suffix, is_pose_vectors=True)
     is_writable = item.format == "npz" or (suffix == ".npy" and motion.skeleton in STANDARD_SKELETONS.values())
     if not is_writable:

@@ -21,7 +21,7 @@ from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.timegrid import parse_fps
 from motionkit.io import body_frame, npy, source_file
-from motionkit.io.registry import FileHead, Format, ReadOptions, SourceItem
+from motionkit.io.registry import FileHead, ReadOptions, SourceItem
 from motionkit.io.retargeting import retarget
 from motionkit.io.smpl_body import (
     BODY,
@@ -185,6 +185,3 @@ def write_amass(motion: Motion, path: Path) -> None:
             mocap_time_length=np.array(motion.duration_seconds),
             **dict.fromkeys(FRAMERATE_KEYS, np.array(float(motion.fps))),
         )
-
-
-FORMAT = Format(name="amass", read=read_amass, write=write_amass, suffixes=(".npz",), accepts=accepts, turns_up=True)

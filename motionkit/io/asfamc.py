@@ -20,7 +20,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import MAX_JOINTS, Skeleton
 from motionkit.io import source_file
-from motionkit.io.registry import Format, ReadOptions, of_path
+from motionkit.io.registry import ReadOptions
 from motionkit.io.source_file import INLINE_BYTES, find_words, parse_number, to_numbers
 
 ROTATIONS = {"rx": "X", "ry": "Y", "rz": "Z"}
@@ -354,6 +354,3 @@ def _local_rotations(
             turn = kinematics.quaternion_multiply(bone.axis_frame, turn)
             rotations[:, joint] = kinematics.quaternion_multiply(turn, back)
     return rotations, (root * asf.unit_metres).astype(np.float32)
-
-
-FORMAT = Format(name="asfamc", read=of_path(read_asfamc), suffixes=(".amc",))

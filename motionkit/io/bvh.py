@@ -24,7 +24,7 @@ from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, rest_p
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io import body_frame, source_file
 from motionkit.io.body_frame import from_y_up, infer_up, log_lines, skeleton_to_y_up, to_y_up, turn_of
-from motionkit.io.registry import Format, ReadOptions, of_path
+from motionkit.io.registry import ReadOptions
 
 if TYPE_CHECKING:
     from motionkit.fields.motion_field import Poses
@@ -679,8 +679,3 @@ def angles_near(
     both += 2 * np.pi * np.rint((expected - both) / (2 * np.pi))
     nearest = np.abs(both - expected).sum(axis=-1).argmin(axis=0)
     return np.degrees(np.where(same[:, None], expected, both[nearest, np.arange(len(both[0]))]))[:, : len(order)]
-
-
-FORMAT = Format(
-    name="bvh", read=of_path(read_bvh), document=read_document, suffixes=(".bvh",), write=write_bvh, turns_up=True
-)

@@ -22,7 +22,7 @@ from motionkit.core.files import whole_number
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import source_file
 from motionkit.io.bvh import BvhDocument, read_document
-from motionkit.io.registry import FileHead, Format, ReadOptions, of_document
+from motionkit.io.registry import FileHead, ReadOptions
 
 # LaFAN1
 THEMES = (
@@ -126,14 +126,11 @@ def _cuts(table: Path, modified: int) -> Mapping[tuple[str, str], tuple[int, int
     return cuts
 
 
-def _has_cuts(head: FileHead) -> bool:
+def is_lafan1(head: FileHead) -> bool:
+    """Whether a file has LaFAN1's form of name."""
+    return LAFAN1_NAME.fullmatch(head.path.stem) is not None
+
+
+def is_100style(head: FileHead) -> bool:
+    """Whether a file has 100STYLE's form of name, and a table of cuts."""
     return STYLE_AND_KIND.fullmatch(head.path.stem) is not None and find_cuts(head.path) is not None
-
-
-LAFAN1_FORMAT, STYLE100_FORMAT = (
-    Format(name=name, read=of_document(read), document=read, suffixes=(".bvh",), accepts=accepts, turns_up=True)
-    for name, read, accepts in (
-        ("lafan1", read_lafan1, lambda head: LAFAN1_NAME.fullmatch(head.path.stem) is not None),
-        ("100style", read_100style, _has_cuts),
-    )
-)

@@ -22,7 +22,7 @@ from motionkit.core.skeleton import Feet, Skeleton
 from motionkit.core.timegrid import SNAP_TOLERANCE, parse_fps
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import in_metres
-from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
+from motionkit.io.registry import FileHead, ReadOptions
 
 FRAMES_KEY = b'"Frames"'
 ROTATION_SIZES = {"spherical": 4, "revolute": 1, "fixed": 0}
@@ -147,6 +147,3 @@ def _rotations(
             rotations[:, joint] = values / lengths[:, None]
     log = f"quaternions normalised; they were off unit length by up to {worst:.3f}"
     return rotations, [log] if worst > LOGGED_LENGTH_ERROR else []
-
-
-FORMAT = Format(name="deepmimic", read=of_path(read_deepmimic), suffixes=(".txt", ".json"), accepts=accepts)

@@ -19,7 +19,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import markers, source_file
 from motionkit.io.body_frame import upright
-from motionkit.io.registry import Format, ReadOptions, ScanResult, SourceItem
+from motionkit.io.registry import ReadOptions, ScanResult, SourceItem
 from motionkit.io.smpl import neutral_body
 from motionkit.io.smpl_body import posed_motion
 
@@ -109,6 +109,3 @@ def read_easymocap(item: SourceItem, options: ReadOptions) -> Motion:
     rotations = kinematics.rotation_vector_to_quaternion(vectors)
     smpl_body = neutral_body(rotations.shape[1], shapes[0], options)
     return posed_motion(rotations, move, smpl_body, fps, options.up, provenance, turns_about_origin=True)
-
-
-FORMAT = Format(name="easymocap", read=read_easymocap, claims=claims, find=find, turns_up=True)

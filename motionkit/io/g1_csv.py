@@ -9,8 +9,6 @@ quaternion's w first (https://github.com/nv-tlabs/kimodo, output_formats.md), GM
 
 import re
 from fractions import Fraction
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 
@@ -20,14 +18,13 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float32
 from motionkit.io import body_frame, joints_csv, source_file
 from motionkit.io.kimodo import g1
-from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
+from motionkit.io.registry import FileHead, ReadOptions, SourceItem
 
 SEED_FPS, USUAL_FPS = Fraction(120), Fraction(30)
 SEED_ROOT = tuple(f"root_{what}{axis}" for what in ("translate", "rotate") for axis in "XYZ")
 NUM_COLUMNS = 36
 NUMBER = re.compile(r"\s*[-+]?\d*\.?\d+(e[-+]?\d+)?\s*", re.IGNORECASE)
 HINGES = tuple(np.flatnonzero(g1()[2].any(axis=1)).tolist())
-W_FIRST, W_LAST = "g1-csv-wxyz", "g1-csv-xyzw"
 
 
 def accepts(head: FileHead) -> bool:
@@ -48,13 +45,13 @@ def local_rotations(
     return local.astype(np.float32)
 
 
-def read_g1_csv(path: Path, options: ReadOptions = ReadOptions(), order: str = "") -> Motion:
-    """Read one table as positions in metres, y up, and local rotations; `order` says where a quaternion's w stands.
+def read_g1_csv(item: SourceItem, options: ReadOptions) -> Motion:
+    """Read one table as positions in metres, y up, and local rotations; the format's name says where w stands.
 
-    Without it w is where the pelvis is upright; last, if it is upright either way. Raises `FormatError`
+    For `g1-csv` w is where the pelvis is upright; last, if it is upright either way. Raises `FormatError`
     (`channel-count` for missing columns, and what `joints_csv.table` raises).
     """
-    data = source_file.read_bytes(path)
+    path, data = item.path, source_file.read_bytes(item.path)
     names = joints_csv.header(data, path)
     log: list[str] = []
     if SEED_ROOT[0] in names:
@@ -73,10 +70,12 @@ def read_g1_csv(path: Path, options: ReadOptions = ReadOptions(), order: str = "
             raise FormatError(message, path=path, reason="channel-count", line=1)
         usual, root, rotation, angles = USUAL_FPS, values[:, :3], values[:, 3:7], values[:, 7:]
         # The cosine of the pelvis' tilt is 1 - 2 (q1² + q2²) with w first, and 1 - 2 (q0² + q1²) with w last.
-        first = order == W_FIRST or (not order and np.mean(rotation[:, 0] ** 2) > np.mean(rotation[:, 2] ** 2))
+        stands_first = np.mean(rotation[:, 0] ** 2) > np.mean(rotation[:, 2] ** 2)
+        first = {"g1-csv-wxyz": True, "g1-csv-xyzw": False}.get(item.format, stands_first)
         rotation = rotation if first else np.roll(rotation, 1, axis=1)
         rotation = rotation / np.maximum(np.linalg.norm(rotation, axis=1, keepdims=True), 1e-9)
-        log.append(f"quaternions' w stands {'first' if first else 'last'}" + ("" if order else " (the pelvis upright)"))
+        upright = " (the pelvis upright)" if item.format == "g1-csv" else ""
+        log.append(f"quaternions' w stands {'first' if first else 'last'}{upright}")
     up, fps = options.up or "z", options.fps or usual
     log += [*body_frame.log_lines(up, options.up), *source_file.replaced_fps(fps, usual, who="the format")]
     local = local_rotations(rotation, angles)
@@ -84,9 +83,3 @@ def read_g1_csv(path: Path, options: ReadOptions = ReadOptions(), order: str = "
         path, data, "g1-csv", g1()[0], fps, log, rotations=local, root=root.astype(np.float32)
     )
     return body_frame.turned(motion, up)
-
-
-FORMATS = {
-    name: Format(name, of_path(partial(read_g1_csv, order=order)), (".csv",), accepts, turns_up=True)
-    for name, order in (("g1-csv", ""), (W_FIRST, W_FIRST), (W_LAST, W_LAST))
-}

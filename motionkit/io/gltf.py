@@ -32,7 +32,7 @@ from motionkit.core.timegrid import TimeGrid, num_frames_within, parse_fps
 from motionkit.io import source_file
 from motionkit.io.body_frame import in_metres
 from motionkit.io.joint_rotations import RIGID_METRES, joint_channels
-from motionkit.io.registry import Format, ReadOptions, of_path
+from motionkit.io.registry import ReadOptions
 from motionkit.io.source_file import unique_names
 
 MAGIC, VERSION = 0x46546C67, 2
@@ -554,6 +554,3 @@ def _rotations(matrices: Float64[np.ndarray, "*n 4 4"]) -> Float64[np.ndarray, "
     if not sizes.min() > 1e-9 * sizes.max():
         raise ValueError("a node that flattens")
     return np.asarray(matrices[..., :3, :3] / sizes)
-
-
-FORMAT = Format(name="gltf", read=of_path(read_gltf), suffixes=(".glb",), write=write_gltf)

@@ -7,7 +7,6 @@ Source: https://github.com/EricGuo5513/HumanML3D, https://motion-annotation.huma
 
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import joints_npy, npy, source_file, texts
-from motionkit.io.registry import Format, ReadOptions, ScanResult, SourceItem
+from motionkit.io.registry import ReadOptions, ScanResult, SourceItem
 from motionkit.io.texts import SPLITS, read_splits
 
 JOINTS_FOLDER, VECTORS_FOLDER, TEXTS_FOLDER = "new_joints", "new_joint_vecs", "texts"
@@ -59,7 +58,7 @@ KIT = Layout("kit", KIT21, Fraction(25, 2), BODY_HEIGHT_METRES / 1000.0)
 LAYOUTS = {layout.name: layout for layout in (HUMANML3D, KIT)}
 
 
-def claims(folder: Path, layout: Layout = HUMANML3D) -> bool:
+def is_humanml3d(folder: Path, layout: Layout = HUMANML3D) -> bool:
     """Whether a folder has this layout, judged by the first array with a valid shape."""
     shapes = {JOINTS_FOLDER: (layout.skeleton.num_joints, 3), VECTORS_FOLDER: (layout.num_values,)}
     for name, shape in shapes.items():
@@ -70,7 +69,12 @@ def claims(folder: Path, layout: Layout = HUMANML3D) -> bool:
     return False
 
 
-def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
+def is_kit(folder: Path) -> bool:
+    """Whether a folder has KIT-ML's layout."""
+    return is_humanml3d(folder, KIT)
+
+
+def find(folder: Path, root: Path) -> ScanResult:
     """All sequences of a folder with their splits; captions without motion are problems."""
     # Joints replace the vectors of the same name.
     arrays = [path for name in (VECTORS_FOLDER, JOINTS_FOLDER) for path in (folder / name).glob("*.npy")]
@@ -81,7 +85,7 @@ def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
     prefix = root.name if place == "." else f"{root.name}/{place}"
     items = tuple(
         SourceItem(
-            format=layout.name,
+            format=(KIT if is_kit(folder) else HUMANML3D).name,
             path=path,
             root=root,
             sequence_id=f"{prefix}/{key}",
@@ -100,13 +104,13 @@ def find(folder: Path, root: Path, layout: Layout = HUMANML3D) -> ScanResult:
     return ScanResult(items, problems, tuple(warnings))
 
 
-def read_humanml3d(item: SourceItem, options: ReadOptions, layout: Layout = HUMANML3D) -> Motion:
+def read_humanml3d(item: SourceItem, options: ReadOptions) -> Motion:
     """Read one sequence: joints if the folder has them, else recovered from its pose vectors, in metres.
 
     The framerate is the published one unless the folder's `motions.json` (motionkit/io/joints_npy.py) or `options`
     gives another. The published 6D rotations lack twist and are not used as rotations. Raises `FormatError`.
     """
-    data = source_file.read_bytes(item.path)
+    data, layout = source_file.read_bytes(item.path), LAYOUTS[item.format]
     operations: list[str] = []
     if item.path.parent.name == VECTORS_FOLDER:
         vectors = npy.read_npy(item.path, data, (None, layout.num_values))
@@ -223,12 +227,3 @@ class FolderWriter:
 def _save(path: Path, array: np.ndarray) -> None:
     with naming(path):
         np.save(path, array, allow_pickle=False)
-
-
-FORMAT = Format(name="humanml3d", read=read_humanml3d, claims=claims, find=find)
-KIT_FORMAT = Format(
-    name="kit",
-    read=partial(read_humanml3d, layout=KIT),
-    claims=partial(claims, layout=KIT),
-    find=partial(find, layout=KIT),
-)

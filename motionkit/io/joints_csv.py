@@ -23,7 +23,7 @@ from motionkit.io import source_file
 from motionkit.io.body_frame import in_metres
 from motionkit.io.npy import MAX_NUMBER
 from motionkit.io.npz import bones_of_pose
-from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
+from motionkit.io.registry import FileHead, ReadOptions
 
 TIME, FRAME = "time_seconds", "frame"
 AXES = ("x", "y", "z")
@@ -151,6 +151,3 @@ def _clock(
     assert fps is not None
     stated_words = "" if stated is None else f"{TIME}: {stated}"
     return TimeGrid(fps, len(seconds), float(seconds[0])), stated_words, source_file.replaced_fps(fps, stated)
-
-
-FORMAT = Format(name="csv", read=of_path(read_joints_csv), suffixes=(".csv",), accepts=accepts, write=write_joints_csv)

@@ -23,7 +23,7 @@ from motionkit.core.skeletons.mapping import map_joints
 from motionkit.core.timegrid import parse_fps
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import upright
-from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
+from motionkit.io.registry import FileHead, ReadOptions
 
 MANIFEST = "motions.json"
 HUMANACT12_FPS = Fraction(20)
@@ -48,6 +48,11 @@ def accepts(head: FileHead) -> bool:
     """Whether a .npy file is a sequence of joints; a broken header passes, so that reading it reports the fault."""
     shape = head.array_shape
     return shape is None or (len(shape) == 3 and shape[2] == 3)
+
+
+def is_humanact12(head: FileHead) -> bool:
+    """Whether a .npy file has HumanAct12's form of name and shape, or a broken header."""
+    return HUMANACT12_NAME.fullmatch(head.path.stem) is not None and (head.array_shape or (0, 24, 3))[1:] == (24, 3)
 
 
 def manifest_of(path: Path) -> Path:
@@ -148,23 +153,3 @@ def _skeleton(num_joints: int, manifest: Manifest, path: Path) -> Skeleton:
         message = f"{num_joints} joints{stated}, expected 22 (smpl22), 24 or 52 (SMPL, SMPL-H) or 21 (kit21)"
         raise FormatError(message, path=path, reason="channel-count")
     return STANDARD_SKELETONS[layout]
-
-
-FORMAT = Format(
-    name="joints-npy",
-    read=of_path(read_joints_npy),
-    suffixes=(".npy",),
-    accepts=accepts,
-    write=write_joints_npy,
-    turns_up=True,
-    shared_file=MANIFEST,
-)
-
-HUMANACT12_FORMAT = Format(
-    name="humanact12",
-    read=of_path(read_humanact12),
-    suffixes=(".npy",),
-    accepts=lambda head: (
-        HUMANACT12_NAME.fullmatch(head.path.stem) is not None and (head.array_shape or (0, 24, 3))[1:] == (24, 3)
-    ),
-)

@@ -17,7 +17,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import SMPL22, Feet, Skeleton
 from motionkit.io import joint_rotations, npy, source_file
-from motionkit.io.registry import Format, ReadOptions, of_path
+from motionkit.io.registry import ReadOptions
 
 FPS = Fraction(30)
 JOINTS, ROTATIONS = "posed_joints", "global_rot_mats"
@@ -99,8 +99,3 @@ def read_kimodo(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
         return motion
     matrices = archive.numbers(ROTATIONS, (*positions.shape[:2], 3, 3))
     return joint_rotations.with_rotations(motion, matrices, is_global=True)
-
-
-FORMAT = Format(
-    name="kimodo", read=of_path(read_kimodo), suffixes=(".npz",), accepts=lambda head: JOINTS in head.array_names
-)

@@ -33,7 +33,7 @@ from motionkit.core.timegrid import parse_fps
 from motionkit.fields.contact.detection import runs
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import AXES, log_lines, to_y_up, upright
-from motionkit.io.registry import Format, ReadOptions, of_path
+from motionkit.io.registry import ReadOptions
 
 UNITS = {"mm": 0.001, "cm": 0.01, "dm": 0.1, "m": 1.0, "in": 0.0254, "inch": 0.0254, "ft": 0.3048}
 # Linear interpolation over 0.1 s has an error of a·t²/8: 6 mm at 5 m/s².
@@ -441,7 +441,3 @@ def _table(lines: list[str], num_columns: int, path: Path) -> Float64[np.ndarray
     if not rows:
         raise FormatError("0 frames, expected at least one row below the header", path=path, reason="no-frames")
     return np.array(rows)
-
-
-C3D_FORMAT = Format(name="c3d", read=of_path(read_c3d), suffixes=(".c3d",), turns_up=True)
-TRC_FORMAT = Format(name="trc", read=of_path(read_trc), suffixes=(".trc",), turns_up=True)

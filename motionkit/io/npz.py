@@ -24,7 +24,7 @@ from motionkit.core.skeletons.mapping import parse_layout_map, rig_name
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import in_metres
-from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
+from motionkit.io.registry import FileHead, ReadOptions
 
 PROVENANCE = ("source", "subset", "licence", "subject")
 # Quaternions of float16 are off unit length by 1e-3.
@@ -247,6 +247,3 @@ def _captions(archive: npy.Archive) -> tuple[Caption, ...]:
         Caption(text, start, None if np.isnan(end) else end, words)
         for text, (start, end), words in zip(texts, bounds.tolist(), tokens, strict=True)
     )
-
-
-FORMAT = Format(name="npz", read=of_path(read_npz), suffixes=(".npz",), accepts=accepts, write=write_npz)

@@ -23,7 +23,7 @@ from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.io import body_frame, humanml3d, joint_rotations, joints_npy, npy, source_file
 from motionkit.io.body_frame import upright
 from motionkit.io.humanml3d import LAYOUTS
-from motionkit.io.registry import FileHead, Format, ReadOptions, SourceItem, of_path
+from motionkit.io.registry import FileHead, ReadOptions, SourceItem
 
 Positions = Float32[np.ndarray, "frames joints 3"]
 
@@ -38,21 +38,12 @@ PLACES, TURNS = slice(8, 8 + 3 * JOINTS), slice(8 + 6 * JOINTS, 8 + 12 * JOINTS)
 MOTIUS_KEY = "motion_135"
 
 
-def width_of(head: FileHead) -> int:
-    """Numbers a row of [T, D], or of [1, T, D], the batch of one that models save; 0 for other arrays."""
-    match head.array_shape:
-        case (_, width) | (1, _, width):
-            return width
-    return 0
+def is_interhuman(head: FileHead) -> bool:
+    """Whether rows of a .npy file have 262 numbers for one or two persons, or the data set's 492."""
+    return _has_persons(head.array_shape or ())
 
 
-def accepts(head: FileHead) -> bool:
-    """Whether a .npy file holds rows of 263 or 251 numbers."""
-    return width_of(head) in LAYOUT_BY_WIDTH
-
-
-def _is_interhuman(shape: tuple[int, ...]) -> bool:
-    """Whether rows have 262 numbers for one or two persons, or the data set's 492."""
+def _has_persons(shape: tuple[int, ...]) -> bool:
     match shape:
         case (_, width):
             return width in (INTERHUMAN_WIDTH, 2 * INTERHUMAN_WIDTH, INTERHUMAN_FILE_WIDTH)
@@ -85,7 +76,7 @@ def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
     """Read one person of InterHuman's vectors: joint positions in metres, y up, in scene coordinates."""
     path, data = item.path, source_file.read_bytes(item.path)
     values = npy.read_npy(path, data, None, fill_missing=options.fill_missing)
-    if not _is_interhuman(values.shape):
+    if not _has_persons(values.shape):
         message = f"array of shape {values.shape}, expected rows of 262, 2 × 262 or 492 numbers"
         raise FormatError(message, path=path, reason="channel-count")
     rows = values.reshape(len(values), -1)
@@ -146,20 +137,3 @@ def motion_of(
     return source_file.motion_of(
         path, data, source_format, skeleton, fps, lines, positions=positions, stated_fps=str(stated)
     )
-
-
-FORMAT = Format(name="pose-vectors", read=of_path(read_pose_vectors), suffixes=(".npy",), accepts=accepts)
-INTERHUMAN_FORMAT = Format(
-    name="interhuman",
-    read=read_interhuman,
-    suffixes=(".npy",),
-    accepts=lambda head: _is_interhuman(head.array_shape or ()),
-    keys=persons,
-    turns_up=True,
-)
-MOTIONSTREAMER_FORMAT = Format(
-    name="motionstreamer",
-    read=of_path(read_motionstreamer),
-    suffixes=(".npy",),
-    accepts=lambda head: width_of(head) == MOTIONSTREAMER_WIDTH,
-)

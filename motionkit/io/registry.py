@@ -1,15 +1,13 @@
 """What a file format is, and which formats there are: recognising files, finding readers, writing motions.
 
-Motionkit's own formats are loaded when a file may be of them, those that a package lists in `FORMATS`
-(`motionkit.core.plugins`) at once.
+Motionkit's own formats are listed here; a package lists its formats in `FORMATS` (`motionkit.core.plugins`).
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +142,14 @@ class FileHead:
         """The shape of a .npy array; None without a valid header."""
         return npy.peek_shape(self.path)
 
+    @property
+    def row_width(self) -> int:
+        """Numbers in a row of an array [T, D], or of [1, T, D], a batch of one; 0 for other arrays."""
+        match self.array_shape:
+            case (_, width) | (1, _, width):
+                return width
+        return 0
+
     @cached_property
     def array_names(self) -> frozenset[str]:
         """The names of an .npz file's arrays; empty without a valid zip directory."""
@@ -165,10 +171,11 @@ Reader = Callable[[SourceItem, ReadOptions], Motion]
 class Format:
     """A format: how its files are recognised and read, and how a motion is written.
 
-    A file format has `suffixes`, and `accepts` if the suffix is ambiguous. A folder format has `claims`, which
-    recognises a folder, and `find`, which lists its sequences; a claimed folder is not searched further. `keys` names
-    the sequences of a file that holds several. A text format whose files can be written again with their own lines has
-    `document`, which reads the same motion as `read`, with the file's text.
+    A file format has `suffixes`, and `accepts` if the suffix is ambiguous; one `by_name`, whose files look like those
+    of another, is not tried unless it is named. A folder format has `claims`, which recognises a folder, and `find`,
+    which lists its sequences; a claimed folder is not searched further. `keys` names the sequences of a file that holds
+    several. A text format whose files can be written again with their own lines has `document`, which reads the same
+    motion as `read`, with the file's text.
 
     `turns_up` is whether `read` applies `ReadOptions.up`; motions of other formats are turned after they are read.
 
@@ -187,138 +194,164 @@ class Format:
     turns_up: bool = False
     write: Callable[[Motion, Path], None] | None = None
     shared_file: str = ""
-
-
-def of_path(read: Callable[[Path, ReadOptions], Motion]) -> Reader:
-    """A reader of sequence items from a reader of paths, for formats with one sequence per file."""
-    return lambda item, options: read(item.path, options)
-
-
-def of_document(read: Callable[..., Any]) -> Reader:
-    """A reader of sequence items from a format's `document`, which is strict here."""
-    return lambda item, options: read(item.path, options, strict=True).motion
-
-
-@dataclass(frozen=True)
-class _BuiltIn:
-    """What is known of a format before its module is loaded.
-
-    `suffixes` are those of the files that it reads, whose names without suffix match `stem` in any case; a folder may
-    be of a folder format if it has an entry that matches one of the patterns `holds`. Files of another format may look
-    like those of one `by_name`, which is not tried unless it is named.
-    """
-
-    name: str
-    module: str
-    variable: str = "FORMAT"
-    suffixes: tuple[str, ...] = ()
-    stem: str = ".*"
-    holds: tuple[str, ...] = ()
-    writes: bool = False
     by_name: bool = False
 
-    def load(self) -> Format:
-        found = getattr(import_module(f"motionkit.io.{self.module}"), self.variable)
-        loaded: Format = found[self.name] if isinstance(found, dict) else found
-        return loaded
+
+def _ours(
+    name: str, suffixes: str = "", *, module: str = "", stem: str = ".*", holds: str = "", **fields: Any
+) -> Format:
+    """A format by names of functions in a module of this package, which is imported when one of them is called.
+
+    The module has the format's name, with underscores, unless it is given. `read_path` reads a file's path in
+    place of a `SourceItem`, and so does `document`, which is strict for `read`. `accepts` is called for files whose
+    name without suffix matches `stem` in any case, `claims` for folders with an entry that one of the patterns `holds`
+    matches.
+    """
+    for key in ("read", "read_path", "document", "accepts", "claims", "find", "keys", "write"):
+        if isinstance(fields.get(key), str):
+            fields[key] = plugins.lazily(f"{__package__}.{module or name.replace('-', '_')}:{fields[key]}")
+    if (read_path := fields.pop("read_path", None)) is not None:
+        fields["read"] = lambda item, options: read_path(item.path, options)
+    if (document := fields.get("document")) is not None:
+        fields["read"] = lambda item, options: document(item.path, options, strict=True).motion
+    if (accepts := fields.get("accepts")) is not None:
+        fits = re.compile(stem, re.DOTALL | re.IGNORECASE).fullmatch
+        fields["accepts"] = lambda head: fits(head.path.stem) is not None and accepts(head)
+    if (claims := fields.get("claims")) is not None:
+        fields["claims"] = lambda folder: any(any(folder.glob(each)) for each in holds.split()) and claims(folder)
+    return Format(name, suffixes=tuple(suffixes.split()), **fields)
 
 
-_POSE_FOLDERS = ("new_joints", "new_joint_vecs")
-# ViMoGen's vectors have DART's width, and FlowMDM's of BABEL that of motion-135.
+def _rows_of(*widths: int) -> Callable[[FileHead], bool]:
+    return lambda head: head.row_width in widths
+
+
+_POSE_FOLDERS = "new_joints new_joint_vecs"
+# Names of vectors end with the width of their rows: ViMoGen's have DART's, and FlowMDM's of BABEL that of motion-135.
 NAMED_VECTORS = ("motion-135", "flowmdm-135", "dart-276", "vimogen-276")
+_VECTORS = ("hymotion-201", "ardy-330", "ardy-g1-414", "g1-38", *NAMED_VECTORS)
+_LAFAN1, _STYLE100 = r".*_subject\d+", r".*_([BFS][RW]|ID|TR[123])"
 # The first that accepts a file reads it.
 _BUILT_IN = (
-    _BuiltIn("lafan1", "bvh_data_sets", "LAFAN1_FORMAT", suffixes=(".bvh",), stem=r".*_subject\d+"),
-    _BuiltIn("100style", "bvh_data_sets", "STYLE100_FORMAT", suffixes=(".bvh",), stem=r".*_([BFS][RW]|ID|TR[123])"),
-    _BuiltIn("bvh", "bvh", suffixes=(".bvh",), writes=True),
-    _BuiltIn("asfamc", "asfamc", suffixes=(".amc",)),
-    _BuiltIn("c3d", "markers", "C3D_FORMAT", suffixes=(".c3d",)),
-    _BuiltIn("trc", "markers", "TRC_FORMAT", suffixes=(".trc",)),
-    _BuiltIn("deepmimic", "deepmimic", suffixes=(".txt", ".json")),
-    _BuiltIn("uestc", "uestc", suffixes=(".npz",)),
-    _BuiltIn("kimodo", "kimodo", suffixes=(".npz",)),
-    _BuiltIn("smpl", "smpl", suffixes=(".npz",)),
-    _BuiltIn("motion-x", "smpl", "MOTION_X_FORMAT", suffixes=(".npy",)),
-    _BuiltIn("amass", "amass", suffixes=(".npz",), writes=True),
-    _BuiltIn("humanml3d", "humanml3d", holds=_POSE_FOLDERS),
-    _BuiltIn("kit", "humanml3d", "KIT_FORMAT", holds=_POSE_FOLDERS),
-    _BuiltIn("easymocap", "easymocap", holds=("[0-9]*.json",)),
-    _BuiltIn("humanact12", "joints_npy", "HUMANACT12_FORMAT", suffixes=(".npy",)),
-    _BuiltIn("joints-npy", "joints_npy", suffixes=(".npy",), writes=True),
-    _BuiltIn("npz", "npz", suffixes=(".npz",), writes=True),
-    _BuiltIn("pose-vectors", "pose_vectors", suffixes=(".npy",)),
-    _BuiltIn("interhuman", "pose_vectors", "INTERHUMAN_FORMAT", suffixes=(".npy",)),
-    _BuiltIn("motionstreamer", "pose_vectors", "MOTIONSTREAMER_FORMAT", suffixes=(".npy",)),
-    *(
-        _BuiltIn(name, "vector_layouts", "FORMATS", suffixes=(".npy",), by_name=name in NAMED_VECTORS)
-        for name in ("hymotion-201", "ardy-330", "ardy-g1-414", "g1-38", *NAMED_VECTORS)
+    _ours(
+        "lafan1",
+        ".bvh",
+        module="bvh_data_sets",
+        document="read_lafan1",
+        stem=_LAFAN1,
+        accepts="is_lafan1",
+        turns_up=True,
     ),
-    _BuiltIn("motius", "vector_layouts", "MOTIUS_FORMAT", suffixes=(".npz",)),
-    *(
-        _BuiltIn(name, "g1_csv", "FORMATS", suffixes=(".csv",), by_name=name != "g1-csv")
-        for name in ("g1-csv", "g1-csv-wxyz", "g1-csv-xyzw")
+    _ours(
+        "100style",
+        ".bvh",
+        module="bvh_data_sets",
+        document="read_100style",
+        stem=_STYLE100,
+        accepts="is_100style",
+        turns_up=True,
     ),
-    _BuiltIn("csv", "joints_csv", suffixes=(".csv",), writes=True),
-    _BuiltIn("robot-csv", "robot_csv", writes=True),
-    _BuiltIn("gltf", "gltf", suffixes=(".glb",), writes=True),
+    _ours("bvh", ".bvh", document="read_document", write="write_bvh", turns_up=True),
+    _ours("asfamc", ".amc", read_path="read_asfamc"),
+    _ours("c3d", ".c3d", module="markers", read_path="read_c3d", turns_up=True),
+    _ours("trc", ".trc", module="markers", read_path="read_trc", turns_up=True),
+    _ours("deepmimic", ".txt .json", read_path="read_deepmimic", accepts="accepts"),
+    _ours("uestc", ".npz", read_path="read_uestc", accepts="accepts"),
+    _ours("kimodo", ".npz", read_path="read_kimodo", accepts=lambda head: "posed_joints" in head.array_names),
+    _ours("smpl", ".npz", read_path="read_smpl", accepts="accepts", turns_up=True),
+    _ours("motion-x", ".npy", module="smpl", read_path="read_motion_x", accepts=_rows_of(322), turns_up=True),
+    _ours("amass", ".npz", read="read_amass", accepts="accepts", write="write_amass", turns_up=True),
+    _ours("humanml3d", read="read_humanml3d", holds=_POSE_FOLDERS, claims="is_humanml3d", find="find"),
+    _ours("kit", module="humanml3d", read="read_humanml3d", holds=_POSE_FOLDERS, claims="is_kit", find="find"),
+    _ours("easymocap", read="read_easymocap", holds="[0-9]*.json", claims="claims", find="find", turns_up=True),
+    _ours("humanact12", ".npy", module="joints_npy", read_path="read_humanact12", accepts="is_humanact12"),
+    _ours(
+        "joints-npy",
+        ".npy",
+        read_path="read_joints_npy",
+        accepts="accepts",
+        write="write_joints_npy",
+        turns_up=True,
+        shared_file="motions.json",
+    ),
+    _ours("npz", ".npz", read_path="read_npz", accepts="accepts", write="write_npz"),
+    _ours("pose-vectors", ".npy", read_path="read_pose_vectors", accepts=_rows_of(263, 251)),
+    _ours(
+        "interhuman",
+        ".npy",
+        module="pose_vectors",
+        read="read_interhuman",
+        accepts="is_interhuman",
+        keys="persons",
+        turns_up=True,
+    ),
+    _ours("motionstreamer", ".npy", module="pose_vectors", read_path="read_motionstreamer", accepts=_rows_of(272)),
+    *(
+        _ours(
+            name,
+            ".npy",
+            module="vector_layouts",
+            read="read_vectors",
+            accepts=_rows_of(int(name.rpartition("-")[2])),
+            turns_up=True,
+            by_name=name in NAMED_VECTORS,
+        )
+        for name in _VECTORS
+    ),
+    _ours(
+        "motius",
+        ".npz",
+        module="vector_layouts",
+        read="read_vectors",
+        accepts=lambda head: "motion_135" in head.array_names,
+        turns_up=True,
+    ),
+    _ours("g1-csv", ".csv", read="read_g1_csv", accepts="accepts", turns_up=True),
+    _ours("g1-csv-wxyz", ".csv", module="g1_csv", read="read_g1_csv", accepts="accepts", turns_up=True, by_name=True),
+    _ours("g1-csv-xyzw", ".csv", module="g1_csv", read="read_g1_csv", accepts="accepts", turns_up=True, by_name=True),
+    _ours("csv", ".csv", module="joints_csv", read_path="read_joints_csv", accepts="accepts", write="write_joints_csv"),
+    _ours("robot-csv", ".csv", write="write_robot_csv"),
+    _ours("gltf", ".glb", read_path="read_gltf", write="write_gltf"),
 )
 
 
 @cache
-def _installed() -> tuple[Format, ...]:
-    # Ours are built in.
-    return tuple(plugins.load_all("FORMATS", foreign=True).values())
+def formats() -> Mapping[str, Format]:
+    """All formats by name, in the order in which they are tried: installed ones first."""
+    found = plugins.load_all("FORMATS", foreign=True)  # ours are built in
+    by_name: dict[str, Format] = {}
+    for each in (*found.values(), *_BUILT_IN):
+        by_name.setdefault(each.name, each)
+    return by_name
 
 
-@cache
 def readers() -> Mapping[str, Format]:
-    """All formats with a reader, by name, in the order in which they are tried: installed ones first."""
-    every = (*_installed(), *(each.load() for each in _BUILT_IN))
-    return {each.name: each for each in every if each.read is not None}
+    """The formats that are read, by name."""
+    return {name: each for name, each in formats().items() if each.read is not None}
 
 
-@cache
 def writers() -> Mapping[str, Format]:
     """The formats that write one motion per file, by name."""
-    every = (*_installed(), *(each.load() for each in _BUILT_IN if each.writes))
-    return {each.name: each for each in every if each.write is not None}
+    return {name: each for name, each in formats().items() if each.write is not None}
 
 
-@cache
 def reader_of(name: str) -> Format:
     """The format of this name; raises `UsageError` for an unknown one."""
-    installed = (each for each in _installed() if each.name == name and each.read is not None)
-    found = next(installed, None) or next((each.load() for each in _BUILT_IN if each.name == name), None)
-    if found is None or found.read is None:
+    if name not in readers():
         raise UsageError(f"unknown format {name!r}, expected auto or one of {', '.join(readers())}")
-    return found
+    return readers()[name]
 
 
 def recognise(head: FileHead, name: str = "auto") -> Format | None:
     """The format of a file by its suffix, then its content; None for any other file, and for formats not of `name`."""
     suffix = head.path.suffix.lower()
-
-    def candidates() -> Iterator[Format]:
-        yield from (each for each in _installed() if suffix in each.suffixes and each.read is not None)
-        for each in _BUILT_IN:
-            if each.by_name and name == "auto":
-                continue
-            if suffix in each.suffixes and re.fullmatch(each.stem, head.path.stem, re.DOTALL | re.IGNORECASE):
-                yield reader_of(each.name)
-
-    return next((each for each in candidates() if name in ("auto", each.name) and each.accepts(head)), None)
+    tried = (each for each in readers().values() if each.name == name or (name == "auto" and not each.by_name))
+    return next((each for each in tried if suffix in each.suffixes and each.accepts(head)), None)
 
 
 def recognise_folder(folder: Path, name: str = "auto") -> Format | None:
     """The format whose data set a folder is, None for any other folder and for formats not of `name`."""
-
-    def candidates() -> Iterator[Format]:
-        yield from _installed()
-        for each in _BUILT_IN:
-            if any(next(folder.glob(pattern), None) for pattern in each.holds):
-                yield reader_of(each.name)
-
-    kinds = (each for each in candidates() if name in ("auto", each.name))
+    kinds = (each for each in readers().values() if name in ("auto", each.name))
     return next((each for each in kinds if each.claims is not None and each.claims(folder)), None)
 
 

@@ -20,7 +20,6 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.fields.contact.bones import legs_of
 from motionkit.fields.contact.detection import find_contacts, ground_of
-from motionkit.io.registry import Format
 from motionkit.io.retargeting import retarget
 from motionkit.io.smpl_body import mean_shape_skeleton, rests_as_smpl
 
@@ -77,6 +76,3 @@ def _angular_velocities(rotations: Float64[np.ndarray, "frames 4"], fps: float) 
     before, after = np.maximum(frames - 1, 0), np.minimum(frames + 1, len(rotations) - 1)
     steps = kinematics.quaternion_multiply(rotations[after], kinematics.quaternion_conjugate(rotations[before]))
     return np.asarray(kinematics.quaternion_to_rotation_vector(steps) * (fps / np.maximum(after - before, 1))[:, None])
-
-
-FORMAT = Format(name="robot-csv", write=write_robot_csv, suffixes=(".csv",))

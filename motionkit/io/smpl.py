@@ -22,7 +22,7 @@ from motionkit.core.skeleton import Skeleton
 from motionkit.io import npy, source_file
 from motionkit.io.amass import FRAMERATE_KEYS, check_radians, framerate_of
 from motionkit.io.joint_rotations import MAX_MATRIX_ERROR
-from motionkit.io.registry import FileHead, Format, ReadOptions, of_path
+from motionkit.io.registry import FileHead, ReadOptions
 from motionkit.io.smpl_body import BODY, SMPL, SMPLX, posed_motion, posed_skeleton
 
 Rotations = Float32[np.ndarray, "frames joints 4"]
@@ -134,14 +134,3 @@ def neutral_body(
     """The neutral body of poses of 22 or 24 joints (`posed_skeleton`)."""
     layout = LAYOUTS[num_joints]
     return posed_skeleton(options.body_models, layout, SMPLX if layout is BODY else SMPL, "neutral", betas)
-
-
-FORMAT = Format(name="smpl", read=of_path(read_smpl), suffixes=(".npz",), accepts=accepts, turns_up=True)
-
-MOTION_X_FORMAT = Format(
-    name="motion-x",
-    read=of_path(read_motion_x),
-    suffixes=(".npy",),
-    accepts=lambda head: (head.array_shape or ())[1:] == (WIDTH,),
-    turns_up=True,
-)

@@ -19,7 +19,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.timegrid import TimeGrid
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import log_lines, turn_of
-from motionkit.io.registry import Format, ReadOptions, of_path
+from motionkit.io.registry import FileHead, ReadOptions
 from motionkit.io.smpl_body import SMPL, posed_skeleton
 
 FPS = Fraction(30)
@@ -32,6 +32,11 @@ TRAIN_SUBJECTS, ACTIONS = frozenset(_TABLE["train_subjects"]), tuple(_TABLE["act
 NUM_SUBJECTS = 118
 # The camera's y points down and its z away from it.
 FROM_CAMERA = turn_of("-y")
+
+
+def accepts(head: FileHead) -> bool:
+    """Whether a file has UESTC's form of name."""
+    return NAME.fullmatch(head.path.stem) is not None
 
 
 def read_uestc(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
@@ -92,11 +97,3 @@ def read_uestc(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
             path, data, "uestc", operations, subject=f"p{subject:03}", stated_fps=str(FPS)
         ),
     )
-
-
-FORMAT = Format(
-    name="uestc",
-    read=of_path(read_uestc),
-    suffixes=(".npz",),
-    accepts=lambda head: NAME.fullmatch(head.path.stem) is not None,
-)

@@ -12,8 +12,6 @@ motius/motion/representation, models/ardy). FlowMDM's of BABEL: root height and 
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -25,7 +23,7 @@ from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.io import body_frame, g1_csv, joint_rotations, joints_npy, pose_vectors, source_file
 from motionkit.io.kimodo import BODIES, g1
-from motionkit.io.registry import Format, ReadOptions, of_path
+from motionkit.io.registry import ReadOptions, SourceItem
 from motionkit.io.smpl_body import mean_shape_skeleton
 
 Matrices = Float64[np.ndarray, "frames joints 3 3"]
@@ -56,7 +54,7 @@ class VectorLayout:
     steps: int | None = None
 
 
-LAYOUTS = (
+_LAYOUTS = (
     VectorLayout("hymotion-201", 201, Fraction(30), joints=135, relative_to="root", rotations=3),
     VectorLayout("motion-135", 135, Fraction(30), rotations=3),
     VectorLayout("flowmdm-135", 135, Fraction(30), up="z", rotations=3, form="rows", steps=1),
@@ -68,11 +66,17 @@ LAYOUTS = (
 )
 
 
-def read_vectors(path: Path, options: ReadOptions, layout: VectorLayout) -> Motion:
+LAYOUTS = {layout.name: layout for layout in _LAYOUTS}
+# By the name of the format.
+LAYOUTS["motius"] = LAYOUTS["motion-135"]
+
+
+def read_vectors(item: SourceItem, options: ReadOptions) -> Motion:
     """Read one file as positions in metres, y up, and local rotations if these reproduce the positions.
 
     Raises `FormatError`: `no-framerate` where the layout has none, `unit` for normalised vectors.
     """
+    path, layout = item.path, LAYOUTS[item.format]
     data = source_file.read_bytes(path)
     values = pose_vectors.rows_of(path, data, options)
     usual = layout.fps or options.fps or joints_npy.read_manifest(joints_npy.manifest_of(path)).fps
@@ -125,22 +129,3 @@ def _positions(
         case "floor":
             joints = np.concatenate((root, joints + root * (1, 0, 1)), axis=1)
     return joints.astype(np.float32)
-
-
-FORMATS = {
-    layout.name: Format(
-        name=layout.name,
-        read=of_path(partial(read_vectors, layout=layout)),
-        suffixes=(".npy",),
-        accepts=lambda head, width=layout.width: pose_vectors.width_of(head) == width,  # type: ignore[misc]
-        turns_up=True,
-    )
-    for layout in LAYOUTS
-}
-MOTIUS_FORMAT = Format(
-    name="motius",
-    read=of_path(partial(read_vectors, layout=next(layout for layout in LAYOUTS if layout.name == "motion-135"))),
-    suffixes=(".npz",),
-    accepts=lambda head: pose_vectors.MOTIUS_KEY in head.array_names,
-    turns_up=True,
-)

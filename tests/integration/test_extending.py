@@ -36,14 +36,11 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         (folder / path).parent.mkdir(exist_ok=True)
         (folder / path).write_text(text, encoding="utf-8")
     (folder / "standstill" / "__init__.py").touch()
-    kept = (registry._installed, registry.readers, registry.writers, registry.reader_of)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
-        for each in kept:
-            each.cache_clear()
+        registry.formats.cache_clear()
         yield folder
-    for each in kept:
-        each.cache_clear()
+    registry.formats.cache_clear()
 
 
 @pytest.fixture(autouse=True)

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import motionkit as mk
-from motionkit.io import g1_csv, registry, vector_layouts
+from motionkit.io import vector_layouts
 from motionkit.io.bvh import read_bvh
 from motionkit.io.npz import read_npz
 from motionkit.io.registry import ReadOptions, readers
@@ -25,6 +25,7 @@ from tests.helpers.refusal import refusal
 from tests.helpers.side_files import BESIDE
 
 OPTIONS = ReadOptions(fps=Fraction(30))
+G1_TABLES = ("g1-csv", "g1-csv-wxyz", "g1-csv-xyzw")
 
 
 def read_source(source: Path, options: ReadOptions = OPTIONS) -> tuple[list[mk.Motion], list[mk.FormatError]]:
@@ -40,15 +41,7 @@ def read_source(source: Path, options: ReadOptions = OPTIONS) -> tuple[list[mk.M
 
 
 def test_there_is_a_source_of_every_format():
-    assert {*SOURCES, *vector_layouts.FORMATS, *g1_csv.FORMATS, "easymocap", "motius"} == set(readers())
-
-
-@pytest.mark.parametrize("known", registry._BUILT_IN, ids=lambda known: known.name)
-def test_the_registry_knows_of_a_format_what_its_module_says(known):
-    loaded = known.load()
-    assert loaded.name == known.name
-    assert known.suffixes == (loaded.suffixes if loaded.read is not None and loaded.claims is None else ())
-    assert (known.writes, bool(known.holds)) == (loaded.write is not None, loaded.claims is not None)
+    assert {*SOURCES, *vector_layouts.LAYOUTS, *G1_TABLES, "easymocap", "motius"} == set(readers())
 
 
 @pytest.mark.parametrize("name", SOURCES)
