@@ -66,12 +66,12 @@ def report(
     elif format == "html":
         from eval.report.curves import figure_of, run_card
         from eval.report.results import to_html
+        from motionkit.edit.export import render
         from motionkit.store import Store
         from motionkit.store.reports import summarise
-        from motionkit.viz.corpus_card import corpus_card
 
         with progress() as show:
-            cards = [] if store is None else [corpus_card(summarise(Store.open(store)))]
+            cards = [] if store is None else [render("corpus_card.html.j2", summary=summarise(Store.open(store)))]
             places = [(runs or default_path("runs")) / name for name in run or ()]
             cards += [run_card(each, [] if store is None else list(_motions(each, store, show))) for each in places]
         figures = {number: figure for number, each in enumerate(shown) if (figure := figure_of(each)) is not None}

@@ -135,9 +135,7 @@ def spread(sources: Sequence[MotionSource], limit: int) -> list[MotionSource]:
 
 
 def read_panels(
-    sources: Sequence[MotionSource],
-    interval: Interval,
-    advance: Callable[[], None],
+    sources: Sequence[MotionSource], interval: Interval, advance: Callable[[], None]
 ) -> tuple[list[Panel], list[tuple[str, str]]]:
     """The panels of sources, and name and message of each that cannot be shown."""
     panels: list[Panel] = []

@@ -18,10 +18,10 @@ from hypothesis import strategies as st
 import motionkit as mk
 from motionkit.core.kinematics import quaternion_rotate
 from motionkit.core.skeletons.mapping import rest_positions
+from motionkit.edit.export import render
 from motionkit.edit.motions import MotionSource
 from motionkit.fields.motion_field import to_motion
 from motionkit.store.reports import summarise
-from motionkit.viz.corpus_card import corpus_card
 from motionkit.viz.player import Packed, Panel, drawing_of, pack, page_of
 from motionkit.viz.view import MOST_NOTEBOOK_BYTES, spread
 from tests.helpers.analytic import analytic_motion
@@ -243,7 +243,7 @@ def test_every_count_is_drawn_and_a_strangers_names_are_text(tmp_path: Path) -> 
     write_store(tmp_path / "<b>store")
     summary = summarise(mk.Store.open(tmp_path / "<b>store"))
     (source,) = summary["sources"]
-    article = corpus_card(summary).strip()
+    article = render("corpus_card.html.j2", summary=summary).strip()
     assert "<b>store" not in article and "&lt;b&gt;store" in article and "src=" not in article and "http" not in article
     items = [[text for text in each.itertext() if text.strip()] for each in ElementTree.fromstring(article).iter("li")]
     for counts in (source[name] for name in ("framerates", "durations", "splits", "formats")):
