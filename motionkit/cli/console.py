@@ -95,28 +95,18 @@ def of_source(message: str, error: Exception) -> str:
 def read_options(
     fps: Fraction | None,
     skeleton_maps: Sequence[Path] | None,
-    format: str = "auto",
     unit_metres: float | None = None,
-    captions: Path | None = None,
     up: Axis | None = None,
-    skip_derived: bool = False,
+    **others: Any,
 ) -> "ReadOptions":
-    """The options of readers; raises `UsageError` for a unit that is not a positive length."""
+    """The options of readers, of which `others` are as they are; raises `UsageError` for no positive length."""
     from motionkit.core.skeletons.mapping import read_skeleton_map
     from motionkit.io.registry import ReadOptions
 
     if unit_metres is not None and not 0 < unit_metres < float("inf"):
         raise UsageError(f"--unit-metres must be a positive number, not {unit_metres}")
     maps = tuple(map(read_skeleton_map, skeleton_maps or ()))
-    return ReadOptions(
-        format=format,
-        fps=fps,
-        unit_metres=unit_metres,
-        up=up or "",
-        captions=captions,
-        skeleton_maps=maps,
-        skip_derived=skip_derived,
-    )
+    return ReadOptions(fps=fps, skeleton_maps=maps, unit_metres=unit_metres, up=up or "", **others)
 
 
 # Messages quote files' content, which may be long.

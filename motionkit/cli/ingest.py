@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -108,8 +107,10 @@ def ingest(
     if index and (skip_frames or captions):
         raise UsageError("--skip-frames and --captions are about whole files, --index is about segments of files")
     of_index = IndexOptions(tuple(index or ()), texts, splits, mirrored, published=compat is not None)
-    options = replace(
-        read_options(parse_rate(fps), skeleton_map, format, unit_metres, captions, up),
+    options = read_options(
+        *(parse_rate(fps), skeleton_map, unit_metres, up),
+        format=format,
+        captions=captions,
         index=of_index if index else None,
         fps_rules=tuple(rule for path in fps_rules or () for rule in read_rules(path)),
         body_models=body_models,

@@ -72,12 +72,7 @@ def pieces_of(script: Script, longest_seconds: float) -> list[GenerationRequest]
 
 
 def generate_joined(
-    model: GenerativeModel,
-    script: Script,
-    *,
-    seed: int,
-    number: int = 0,
-    sampling: SamplingOptions = SamplingOptions(),
+    model: GenerativeModel, script: Script, *, seed: int, number: int = 0, sampling: SamplingOptions = SamplingOptions()
 ) -> MotionField:
     """The motion of a script, number `number` of its seed.
 

@@ -142,8 +142,7 @@ class Job:
             try:
                 check_script(self.model, self.request.script_of(prompts), self.sampling)
             except UsageError as error:
-                where = prompts[0].where if len(prompts) == 1 else ""
-                raise UsageError(f"{where}: {error}" if where else str(error)) from None
+                raise UsageError(f"{prompts[0].where if len(prompts) == 1 else ''}{error}") from None
 
     @property
     def fps(self) -> Fraction:
@@ -200,11 +199,7 @@ class Job:
         """
         try:
             for number, field in generate_scripts(
-                self.model,
-                self.request.motions,
-                seed=self.seed,
-                skip=self.complete_in(folder),
-                sampling=self.sampling,
+                self.model, self.request.motions, seed=self.seed, skip=self.complete_in(folder), sampling=self.sampling
             ):
                 yield self._write_motion(folder / self.files[number], number, field)
         finally:

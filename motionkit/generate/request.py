@@ -36,7 +36,7 @@ _JOINT = re.compile(r"(?P<joint>[^@=]+)@(?P<start>[\d.]+)(-(?P<end>[\d.]+))?=(?P
 
 @dataclass(frozen=True)
 class Prompt:
-    """A request and its origin, such as `prompts.csv, line 3`; empty for the command's arguments."""
+    """A request, and its origin as messages begin with it: `prompts.csv, line 3: `, or nothing for an argument."""
 
     request: GenerationRequest
     where: str = ""
@@ -60,12 +60,13 @@ class MotionsRequest:
     def __post_init__(self) -> None:
         for prompt in self.prompts if self.join else ():
             if prompt.request.duration_seconds is None:
-                place = f"{prompt.where}: " if prompt.where else ""
-                raise UsageError(f"{place}--join needs to know how long each text lasts: --seconds, or in --prompts")
+                raise UsageError(
+                    f"{prompt.where}--join needs to know how long each text lasts: --seconds, or in --prompts"
+                )
         for prompts in self.scripts if self.times else ():
             lengths = [prompt.request.duration_seconds for prompt in prompts]
             length = None if None in lengths else sum(seconds for seconds in lengths if seconds is not None)
-            place = f"{prompts[0].where}: " if len(prompts) == 1 and prompts[0].where else ""
+            place = prompts[0].where if len(prompts) == 1 else ""
             if length is None:
                 raise UsageError(f"{place}--times needs --seconds: they are instants of a motion of a given length")
             outside = [instant for instant in self.times if not 0 <= instant <= length]
@@ -132,7 +133,7 @@ def read_prompts(path: Path, seconds: float | None = None) -> list[Prompt]:
         rows = [(number, {"text": line}) for number, line in lines if line.strip()]
     if not rows:
         raise UsageError(f"{path}: holds no prompts")
-    wheres = [f"{path}, line {number}" for number, _ in rows]
+    wheres = [f"{path}, line {number}: " for number, _ in rows]
     return [Prompt(_request(row, seconds, where), where) for (_, row), where in zip(rows, wheres, strict=True)]
 
 
@@ -164,13 +165,13 @@ def read_csv(path: Path) -> Iterator[tuple[int, dict[str, str]]]:
 def _request(row: Mapping[str, str], default_seconds: float | None, where: str) -> GenerationRequest:
     unknown = [name for name in row if name not in PROMPT_COLUMNS]
     if unknown:
-        raise UsageError(f"{where}: unknown column {shown(unknown[0])}, expected {', '.join(PROMPT_COLUMNS)}")
+        raise UsageError(f"{where}unknown column {shown(unknown[0])}, expected {', '.join(PROMPT_COLUMNS)}")
     text, action, seconds = (row.get(name, "").strip() for name in PROMPT_COLUMNS)
     if bool(text) == bool(action):
-        raise UsageError(f"{where}: give a text or an action, {'not both' if text else 'there is neither'}")
-    length = _number(seconds, f"{where}: seconds") if seconds else default_seconds
+        raise UsageError(f"{where}give a text or an action, {'not both' if text else 'there is neither'}")
+    length = _number(seconds, f"{where}seconds") if seconds else default_seconds
     if length is not None and length <= 0:
-        raise UsageError(f"{where}: seconds is a positive number, not {shown(seconds)}")
+        raise UsageError(f"{where}seconds is a positive number, not {shown(seconds)}")
     return GenerationRequest(length, text, action)
 
 
@@ -233,11 +234,7 @@ def parse_constraints(
     if is_joined:
         length = None if None in lengths else sum(each or 0.0 for each in lengths)
     of_path = [] if path is None else [path.constraint(length)]
-    return (
-        *of_path,
-        *(parse_pose(each, placed=placed) for each in poses or ()),
-        *map(parse_joint, places or ()),
-    )
+    return (*of_path, *(parse_pose(each, placed=placed) for each in poses or ()), *map(parse_joint, places or ()))
 
 
 def parse_pose(given: str, *, placed: bool = False) -> Constraint:

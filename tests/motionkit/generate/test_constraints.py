@@ -147,7 +147,7 @@ def test_one_text_a_line(tmp_path):
     prompts = read_prompts(path, 4.0)
     assert [prompt.request.text for prompt in prompts] == ["a person walks, slowly", "a jump"]
     assert {prompt.request.duration_seconds for prompt in prompts} == {4.0}
-    assert prompts[1].where == f"{path}, line 3"
+    assert prompts[1].where == f"{path}, line 3: "
 
 
 def test_a_table_of_texts_and_actions(tmp_path):
