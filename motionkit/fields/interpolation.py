@@ -411,11 +411,7 @@ class Settling:
                 poses.put(outside, _settled(beyond, inside[outside], (times - inside)[outside], poses))
             return poses
 
-        return DerivedField(
-            between,
-            settling,
-            lambda _: self.encode(observation, before_seconds=before_seconds, after_seconds=after_seconds),
-        )
+        return DerivedField(between, settling)
 
 
 def _settled(beyond: InterpolatedField, ends: Times, reach: Times, like: Poses) -> Poses:

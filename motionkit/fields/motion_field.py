@@ -246,13 +246,13 @@ def contacts_of(field: MotionField, times_seconds: Times) -> Float32[np.ndarray,
 class DerivedField:
     """A `MotionField` whose poses are computed from another one's, on the same domain.
 
-    `compute` gives the poses at some times. `derive` derives the same for a framerate. Predicted contacts are the other
-    field's.
+    `compute` gives the poses at some times; `derive` derives the same for a framerate (None: it depends on none).
+    Predicted contacts are the other field's.
     """
 
     field: MotionField
     compute: Callable[[Times], Poses]
-    derive: Callable[[Fraction], MotionField]
+    derive: Callable[[Fraction], MotionField] | None = None
 
     @property
     def skeleton(self) -> Skeleton:
@@ -271,7 +271,7 @@ class DerivedField:
 
     def at_fps(self, fps: Fraction) -> MotionField:
         """Derived from the other field at this framerate."""
-        return self.derive(fps)
+        return self if self.derive is None else self.derive(fps)
 
     def query(self, times_seconds: Times) -> Poses:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""

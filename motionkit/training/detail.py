@@ -67,11 +67,6 @@ def _fast_sequences(context: StageContext, config: DetailConfig) -> tuple[Positi
     return cache, fast
 
 
-def _check(context: StageContext, config: DetailConfig) -> None:
-    """Raise early what would stop the training: no sequence that is fast enough."""
-    _fast_sequences(context, config)
-
-
 def load_detail(run: Path) -> Detail:
     """Load a run's detail; raises `RunError`, with the command that trains it, if it has none."""
     stage = RunFolder(run).stage(NAME)
@@ -87,5 +82,5 @@ STAGE = Stage(
     description="captured motion above 10 Hz, for motionkit generate --detail",
     recipes=dict.fromkeys(("demo", "nano", "small", "base", "paper"), DetailConfig),
     train=train_detail,
-    check=_check,
+    check=_fast_sequences,
 )

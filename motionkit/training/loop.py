@@ -267,11 +267,7 @@ class Learner:
     """
 
     def __init__(
-        self,
-        network: torch.nn.Module,
-        optimizer: torch.optim.Optimizer,
-        ema_decay: float = 0.0,
-        ranks: Ranks = ALONE,
+        self, network: torch.nn.Module, optimizer: torch.optim.Optimizer, ema_decay: float = 0.0, ranks: Ranks = ALONE
     ) -> None:
         self.network, self.optimizer, self.ema_decay, self.ranks = network, optimizer, ema_decay, ranks
         weights = network.state_dict() if ema_decay else {}

@@ -179,12 +179,7 @@ class WindowConditions:
     sizes: ConditionSizes
 
     def draw(
-        self,
-        rows: Int64[Tensor, "batch"],
-        chance: Float[Tensor, "3 batch"],
-        *,
-        drop: float,
-        action_share: float = 0.0,
+        self, rows: Int64[Tensor, "batch"], chance: Float[Tensor, "3 batch"], *, drop: float, action_share: float = 0.0
     ) -> Conditions:
         """One condition per window: none with probability `drop`, else one of its captions or its action.
 

@@ -448,7 +448,7 @@ class Stage(Generic[ConfigT]):
     description: str
     recipes: Mapping[str, Callable[[], ConfigT]]
     train: Callable[[StageContext, ConfigT], None]
-    check: Callable[[StageContext, ConfigT], None] = lambda context, config: None
+    check: Callable[[StageContext, ConfigT], object] = lambda context, config: None
     shared: bool = False
     share: float = 1.0
     builds_on: Callable[[ConfigT], tuple[str, ...]] = lambda config: ()
