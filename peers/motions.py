@@ -16,8 +16,9 @@ from motionkit.core.timegrid import parse_fps
 from motionkit.data.captions import actions_of_windows, captions_of_windows
 from motionkit.data.windows import WindowPoses, cut_windows, open_frames, training_vectors
 from motionkit.features.convention import PoseVectors, PoseVectorsName
-from motionkit.features.layout import SMPL22_LAYOUT, VectorLayout
+from motionkit.features.layout import SMPL22_LAYOUT
 from motionkit.features.native import NativeVectors
+from motionkit.io.humanml3d import VectorLayout
 from motionkit.store.cache import cache_root
 from motionkit.store.reader import Store
 from motionkit.training.config import DiffusionConfig, require_positive

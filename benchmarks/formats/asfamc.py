@@ -47,7 +47,7 @@ def main() -> None:
     for path in files:
         data = path.read_bytes()
         num_bytes += len(data)
-        frames += len(parse_amc(data, path).values)
+        frames += len(parse_amc(data, path)[0])
         seconds["parse"] += best_cpu_seconds(lambda data=data, path=path: parse_amc(data, path), arguments.repeats)
         seconds["plain_python_parse"] += best_cpu_seconds(lambda data=data: plain(data), arguments.repeats)
         seconds["file_to_positions"] += best_cpu_seconds(

@@ -135,7 +135,7 @@ def read_statistics(folder: Path, kind: GuoKind) -> Statistics:
     except (FormatError, ValueError) as error:
         raise GuoError(f"{folder}: {error}") from None
     signature = [("the mean root height", statistics.mean[kind.layout.vector.root_height], kind.root_height)]
-    for block, block_std in zip(kind.layout.vector.blocks, kind.block_std, strict=False):
+    for block, block_std in zip(kind.layout.vector, kind.block_std, strict=False):
         signature.append((f"the std of numbers {block.start} to {block.stop - 1}", statistics.std[block], block_std))
     for what, numbers, expected in signature:
         if np.abs(numbers - expected).max() > SIGNATURE_TOLERANCE * expected:

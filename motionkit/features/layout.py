@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from motionkit.core import kinematics
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Bool, Float, Float32, Float64
 from motionkit.core.skeleton import KIT21, SMPL22, Skeleton
+
+if TYPE_CHECKING:
+    from motionkit.io.humanml3d import VectorLayout
 
 
 @dataclass(frozen=True)
@@ -20,35 +24,6 @@ class FacingJoints:
     left_hip: int
     right_shoulder: int
     left_shoulder: int
-
-
-@dataclass(frozen=True)
-class VectorLayout:
-    """Slices of the published pose vector of 12·J − 1 numbers (HumanML3D, motion_representation.ipynb).
-
-    `root_yaw_velocity` 1 · `root_velocity` 2 (x, z) · `root_height` 1 · `joint_positions` 3(J − 1) · `joint_rotations`
-    6(J − 1) · `joint_velocities` 3J · `contacts` 4 (left ankle, left toe, right ankle, right toe).
-    """
-
-    num_joints: int
-    root_yaw_velocity: slice
-    root_velocity: slice
-    root_height: slice
-    joint_positions: slice
-    joint_rotations: slice
-    joint_velocities: slice
-    contacts: slice
-
-    @property
-    def size(self) -> int:
-        """Numbers per pose: 263 for 22 joints, 251 for 21."""
-        return 12 * self.num_joints - 1
-
-    @property
-    def blocks(self) -> tuple[slice, ...]:
-        """The seven blocks inside which HumanML3D averages its standard deviation."""
-        _, *blocks = vars(self).values()
-        return tuple(blocks)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +44,11 @@ class PoseLayout:
     contact_threshold: float
 
     @cached_property
-    def vector(self) -> VectorLayout:
+    def vector(self) -> "VectorLayout":
         """Slices of its pose vectors."""
-        from motionkit.io.humanml3d import vector_blocks  # deferred: `field` vectors need no slices
+        from motionkit.io.humanml3d import vector_layout  # deferred: `field` vectors need no slices
 
-        return VectorLayout(self.num_joints, *vector_blocks(self.num_joints))
+        return vector_layout(self.num_joints)
 
     @property
     def name(self) -> str:

@@ -157,7 +157,7 @@ class NativeVectors:
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
         """The root's three velocities, then the other blocks inside which HumanML3D averages its deviations."""
-        yaw_rate, velocity, *others = (tuple(range(block.start, block.stop)) for block in SMPL22_LAYOUT.vector.blocks)
+        yaw_rate, velocity, *others = (tuple(range(block.start, block.stop)) for block in SMPL22_LAYOUT.vector)
         return yaw_rate + velocity, *others
 
     def mirror(self, values: Float32[np.ndarray, "*frames features"]) -> Float32[np.ndarray, "*frames features"]:

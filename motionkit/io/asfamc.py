@@ -57,12 +57,8 @@ class AsfSkeleton:
     root_position: Vector
 
 
-@dataclass(frozen=True)
-class AmcTable:
-    """Channel values in the order of `bones` (name, number of channels)."""
-
-    values: Float64[np.ndarray, "frames channels"]
-    bones: tuple[tuple[str, int], ...]
+# Channel values in the order of the bones, and these: name, number of channels.
+AmcTable = tuple[Float64[np.ndarray, "frames channels"], tuple[tuple[str, int], ...]]
 
 
 def read_asfamc(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
@@ -263,7 +259,7 @@ def parse_amc(data: bytes, path: Path) -> AmcTable:
     values = _parse_regular(body, first)
     if values is None:
         return _parse_lines(data, bones, path)
-    return AmcTable(np.ascontiguousarray(values[:, 1:]), bones)
+    return np.ascontiguousarray(values[:, 1:]), bones
 
 
 def _parse_regular(body: bytes, first: bytes) -> Float64[np.ndarray, "frames values"] | None:
@@ -320,19 +316,20 @@ def _parse_lines(data: bytes, bones: tuple[tuple[str, int], ...], path: Path) ->
             raise fault(f"frame number {first[:15]} after {numbers[-2]}, expected {numbers[-2] + 1}", "frame-number")
     if place != len(bones):
         raise fault(f"the frame ends without {bones[place][0]}; expected {len(bones)} bones", "truncated")
-    return AmcTable(np.array(rows, dtype=np.float64), bones)
+    return np.array(rows, dtype=np.float64), bones
 
 
 def _local_rotations(
     table: AmcTable, asf: AsfSkeleton, path: Path
 ) -> tuple[Float32[np.ndarray, "frames joints 4"], Float32[np.ndarray, "frames 3"]]:
-    num_frames = len(table.values)
+    channels, bones = table
+    num_frames = len(channels)
     names = [bone.name for bone in asf.bones]
     rotations = np.zeros((num_frames, len(names), 4), np.float32)
     rotations[..., 0] = 1.0
     root = np.repeat(asf.root_position[None], num_frames, axis=0)
     column = 0
-    for name, count in table.bones:
+    for name, count in bones:
         if name not in names:
             raise FormatError(f"bone {name!r} is not in the skeleton", path=path, reason="bones")
         joint = names.index(name)
@@ -340,7 +337,7 @@ def _local_rotations(
         if len(bone.dof) != count:
             message = f"{count} numbers for {name}, but the skeleton gives it {len(bone.dof)} ({' '.join(bone.dof)})"
             raise FormatError(message, path=path, reason="channel-count", frame=0)
-        values = table.values[:, column : column + count]
+        values = channels[:, column : column + count]
         column += count
         turning = [place for place, dof in enumerate(bone.dof) if dof in ROTATIONS]
         for place, dof in enumerate(bone.dof):

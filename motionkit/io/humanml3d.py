@@ -8,6 +8,7 @@ Source: https://github.com/EricGuo5513/HumanML3D, https://motion-annotation.huma
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,14 +42,33 @@ class Layout:
         return 12 * self.skeleton.num_joints - 1
 
 
-def vector_blocks(num_joints: int) -> tuple[slice, ...]:
-    """The 7 blocks of a pose vector of 12·J − 1 numbers, inside each of which the published Std is constant.
+class VectorLayout(NamedTuple):
+    """The 7 slices of a pose vector of 12·J − 1 numbers, inside each of which the published Std is constant.
 
-    Root yaw rate, root velocity, root height, joint positions, joint rotations, joint velocities, contacts.
+    `root_yaw_velocity` 1 · `root_velocity` 2 (x, z) · `root_height` 1 · `joint_positions` 3(J − 1) · `joint_rotations`
+    6(J − 1) · `joint_velocities` 3J · `contacts` 4 (left ankle, left toe, right ankle, right toe). Source: HumanML3D,
+    motion_representation.ipynb.
     """
+
+    root_yaw_velocity: slice
+    root_velocity: slice
+    root_height: slice
+    joint_positions: slice
+    joint_rotations: slice
+    joint_velocities: slice
+    contacts: slice
+
+    @property
+    def size(self) -> int:
+        """Numbers per pose: 263 for 22 joints, 251 for 21."""
+        return int(self.contacts.stop)
+
+
+def vector_layout(num_joints: int) -> VectorLayout:
+    """The slices of the pose vectors of so many joints."""
     widths = (1, 2, 1, 3 * (num_joints - 1), 6 * (num_joints - 1), 3 * num_joints, 4)
     ends = np.cumsum(widths).tolist()
-    return tuple(slice(end - width, end) for width, end in zip(widths, ends, strict=True))
+    return VectorLayout(*(slice(end - width, end) for width, end in zip(widths, ends, strict=True)))
 
 
 HUMANML3D = Layout("humanml3d", SMPL22, Fraction(20), 1.0)
@@ -217,7 +237,7 @@ class FolderWriter:
         training = self._moments.get(True, self._moments.get(False))
         if training is not None:
             std = training.std
-            for block in vector_blocks(self._layout.skeleton.num_joints):
+            for block in vector_layout(self._layout.skeleton.num_joints):
                 std[block] = std[block].mean()
             _save(self._folder / "Mean.npy", training.mean.astype(np.float32))
             _save(self._folder / "Std.npy", std.astype(np.float32))

@@ -27,7 +27,6 @@ from motionkit.io.registry import FileHead, ReadOptions
 
 TIME, FRAME = "time_seconds", "frame"
 AXES = ("x", "y", "z")
-HEADER_BYTES = 1 << 20
 # In pyarrow's messages; rows are lines, the header is the first.
 ROW = re.compile(r"Row #(\d+): ")
 
@@ -77,7 +76,7 @@ def write_joints_csv(motion: Motion, path: Path) -> None:
 
 def header(data: bytes, path: Path) -> tuple[str, ...]:
     """The columns' names in the first line. Raises `FormatError` (`not-a-number`, `annotations`)."""
-    text = source_file.decode(data[:HEADER_BYTES].partition(b"\n")[0], path)
+    text = source_file.decode(data[: source_file.HEADER_BYTES].partition(b"\n")[0], path)
     if ";" in text or "\t" in text:
         message = "columns are separated by ';' or tabs, expected commas, and points in numbers (1.5, not 1,5)"
         raise FormatError(message, path=path, reason="not-a-number", line=1)

@@ -91,8 +91,7 @@ def read_kimodo(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
         known = ", ".join(f"{count} ({each.name})" for count, each in SKELETONS.items())
         message = f"{JOINTS}: {positions.shape[1]} joints, expected {known}"
         raise FormatError(message, path=path, reason="channel-count")
-    fps = options.fps or FPS
-    operations = source_file.replaced_fps(fps, FPS, who="Kimodo")
+    fps, operations = source_file.fps_in_use(options.fps, lambda: FPS, who="Kimodo")
     body = replace(skeleton, offsets=positions[0] - positions[0, skeleton.parents_or_self])
     motion = source_file.motion_of(path, data, "kimodo", body, fps, operations, positions=positions)
     if ROTATIONS not in archive:

@@ -28,7 +28,8 @@ from motionkit.io.registry import FileHead, ReadOptions, SourceItem
 Positions = Float32[np.ndarray, "frames joints 3"]
 
 LAYOUT_BY_WIDTH = {layout.num_values: layout for layout in LAYOUTS.values()}
-INTERHUMAN_WIDTH, INTERHUMAN_FILE_WIDTH, MOTIONSTREAMER_WIDTH = 262, 492, 272
+INTERHUMAN_WIDTH = 262
+INTERHUMAN_ROWS = ((INTERHUMAN_WIDTH,), (2, INTERHUMAN_WIDTH), (2 * INTERHUMAN_WIDTH,), (492,))
 FPS = Fraction(30)
 PERSONS = ("person1", "person2")
 JOINTS = SMPL22.num_joints
@@ -40,16 +41,7 @@ MOTIUS_KEY = "motion_135"
 
 def is_interhuman(head: FileHead) -> bool:
     """Whether rows of a .npy file have 262 numbers for one or two persons, or the data set's 492."""
-    return _has_persons(head.array_shape or ())
-
-
-def _has_persons(shape: tuple[int, ...]) -> bool:
-    match shape:
-        case (_, width):
-            return width in (INTERHUMAN_WIDTH, 2 * INTERHUMAN_WIDTH, INTERHUMAN_FILE_WIDTH)
-        case (_, 2, width):
-            return width == INTERHUMAN_WIDTH
-    return False
+    return (head.array_shape or ())[1:] in INTERHUMAN_ROWS
 
 
 def persons(head: FileHead) -> tuple[str, ...]:
@@ -76,7 +68,7 @@ def read_interhuman(item: SourceItem, options: ReadOptions) -> Motion:
     """Read one person of InterHuman's vectors: joint positions in metres, y up, in scene coordinates."""
     path, data = item.path, source_file.read_bytes(item.path)
     values = npy.read_npy(path, data, None, fill_missing=options.fill_missing)
-    if not _has_persons(values.shape):
+    if values.shape[1:] not in INTERHUMAN_ROWS:
         message = f"array of shape {values.shape}, expected rows of 262, 2 × 262 or 492 numbers"
         raise FormatError(message, path=path, reason="channel-count")
     rows = values.reshape(len(values), -1)

@@ -79,8 +79,7 @@ def read_motion_x(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     data = source_file.read_bytes(path)
     values = npy.read_npy(path, data, (None, WIDTH))
     rotations = _of_vectors(values[:, BODY_NUMBERS].reshape(len(values), -1, 3), path, "its first 66 numbers")
-    fps = options.fps or MOTION_X_FPS
-    lines = source_file.replaced_fps(fps, MOTION_X_FPS, who="the data set")
+    fps, lines = source_file.fps_in_use(options.fps, lambda: MOTION_X_FPS, who="the data set")
     source = source_file.provenance(path, data, "motion-x", lines, stated_fps=str(MOTION_X_FPS))
     body = neutral_body(BODY.num_joints, values[0, BETAS], options)
     return posed_motion(rotations, values[:, TRANSLATION], body, fps, options.up, source)

@@ -168,12 +168,12 @@ UNEVEN_FRAMES = 0.1
 
 
 def fps_in_use(
-    given: Fraction | None, stated: Callable[[], Fraction], *, words: str = ""
+    given: Fraction | None, stated: Callable[[], Fraction], *, words: str = "", who: str = "the file"
 ) -> tuple[Fraction, list[str]]:
     """The given framerate, else the stated one; and the log lines of `replaced_fps`.
 
     `stated` reads the file's framerate. If it raises `FormatError`, that is raised only without a given framerate;
-    otherwise the log names `words` as the file's statement, or none.
+    otherwise the log names `words` as the statement of `who`, or none.
     """
     if given is None:
         return stated(), []
@@ -181,7 +181,7 @@ def fps_in_use(
         stated_fps: Fraction | str = stated()
     except FormatError:
         stated_fps = words
-    return given, replaced_fps(given, stated_fps)
+    return given, replaced_fps(given, stated_fps, who=who)
 
 
 def replaced_fps(fps: Fraction, stated: Fraction | str | None, *, who: str = "the file") -> list[str]:

@@ -78,8 +78,7 @@ def read_uestc(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
     rotations = kinematics.rotation_vector_to_quaternion(pose[:, : 3 * skeleton.num_joints].reshape(num_frames, -1, 3))
     rotations[:, 0] = kinematics.quaternion_multiply(turn, rotations[:, 0])
     root = kinematics.quaternion_rotate(turn, trans)
-    fps = options.fps or FPS
-    operations += source_file.replaced_fps(fps, FPS, who="the data set")
+    fps, lines = source_file.fps_in_use(options.fps, lambda: FPS, who="the data set")
     # The moving camera's view belongs to neither set.
     split = "train" if subject in TRAIN_SUBJECTS else "test"
     if (view == MOVING_VIEW and not is_front) or not 1 <= subject <= NUM_SUBJECTS:
@@ -94,6 +93,6 @@ def read_uestc(path: Path, options: ReadOptions = ReadOptions()) -> Motion:
         split=split,
         sequence_id=path.stem,
         provenance=source_file.provenance(
-            path, data, "uestc", operations, subject=f"p{subject:03}", stated_fps=str(FPS)
+            path, data, "uestc", [*operations, *lines], subject=f"p{subject:03}", stated_fps=str(FPS)
         ),
     )

@@ -31,7 +31,7 @@ Matrices = Float64[np.ndarray, "frames joints 3 3"]
 
 @dataclass(frozen=True)
 class VectorLayout:
-    """Where a vector of `width` numbers has its positions (metres) and rotations, by the slices' first numbers.
+    """Where a vector has its positions (metres) and rotations, by the slices' first numbers.
 
     `joints` (None: rotations on SMPL's mean shape give them) are relative to the pelvis ("root"), to its place on the
     floor, without the pelvis ("floor"), or to nothing ("world"). `rotations` (None: not read) are relative
@@ -42,7 +42,6 @@ class VectorLayout:
     """
 
     name: str
-    width: int
     fps: Fraction | None
     skeleton: Skeleton = SMPL22
     up: str = "y"
@@ -55,14 +54,14 @@ class VectorLayout:
 
 
 _LAYOUTS = (
-    VectorLayout("hymotion-201", 201, Fraction(30), joints=135, relative_to="root", rotations=3),
-    VectorLayout("motion-135", 135, Fraction(30), rotations=3),
-    VectorLayout("flowmdm-135", 135, Fraction(30), up="z", rotations=3, form="rows", steps=1),
-    VectorLayout("dart-276", 276, None, up="z", joints=144, rotations=3, form="rows"),
-    VectorLayout("vimogen-276", 276, None, up="z", joints=126),
-    VectorLayout("ardy-330", 330, Fraction(20), BODIES["ardy-core27"], "y", 5, "floor", 83, "columns", is_global=True),
-    VectorLayout("ardy-g1-414", 414, None, g1()[0], joints=5, relative_to="floor"),
-    VectorLayout("g1-38", 38, Fraction(30), g1()[0], up="z", rotations=3, steps=0),
+    VectorLayout("hymotion-201", Fraction(30), joints=135, relative_to="root", rotations=3),
+    VectorLayout("motion-135", Fraction(30), rotations=3),
+    VectorLayout("flowmdm-135", Fraction(30), up="z", rotations=3, form="rows", steps=1),
+    VectorLayout("dart-276", None, up="z", joints=144, rotations=3, form="rows"),
+    VectorLayout("vimogen-276", None, up="z", joints=126),
+    VectorLayout("ardy-330", Fraction(20), BODIES["ardy-core27"], "y", 5, "floor", 83, "columns", is_global=True),
+    VectorLayout("ardy-g1-414", None, g1()[0], joints=5, relative_to="floor"),
+    VectorLayout("g1-38", Fraction(30), g1()[0], up="z", rotations=3, steps=0),
 )
 
 

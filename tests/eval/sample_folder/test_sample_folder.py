@@ -246,7 +246,7 @@ def vectors_in(folder: Path, of: str, restore_with: str, manifest: str = NORMALI
     rows = published.vectors()
     found = moments(np.concatenate(rows))
     std = found.std
-    for block in SMPL22_LAYOUT.vector.blocks:
+    for block in SMPL22_LAYOUT.vector:
         std[block] = std[block].mean()
     evaluator = std.copy()
     evaluator[:4] /= 25
