@@ -46,17 +46,13 @@ class Task:
         self._on_progress, self._progress = on_progress, progress
         on_progress(progress)
 
-    def advance(self, count: int = 1) -> None:
-        """Add `count` steps to those done."""
-        self._report(replace(self._progress, done=self._progress.done + count))
+    def advance(self) -> None:
+        """Add a step to those done."""
+        self._report(replace(self._progress, done=self._progress.done + 1))
 
     def set_total(self, total: int) -> None:
         """Set the number of steps, once it is known."""
         self._report(replace(self._progress, total=total))
-
-    def set(self, done: int, total: int) -> None:
-        """Set both the steps done and their total."""
-        self._report(replace(self._progress, done=done, total=total))
 
     def note(self, text: str) -> None:
         """Set the note beside the numbers, such as the name of the current file."""

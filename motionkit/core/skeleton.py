@@ -131,14 +131,8 @@ def _standard(
     pairs: tuple[tuple[int, int], ...],
     feet: Feet,
 ) -> Skeleton:
-    return Skeleton(
-        name=name,
-        joint_names=tuple(joint for joint, _, _ in joints),
-        parents=tuple(parent for _, parent, _ in joints),
-        offsets=np.array([offset for _, _, offset in joints], dtype=np.float32),
-        left_right_pairs=pairs,
-        feet=feet,
-    )
+    names, parents, offsets = zip(*joints, strict=True)
+    return Skeleton(name, names, parents, np.array(offsets, dtype=np.float32), pairs, feet)
 
 
 # Directions are HumanML3D's raw bone directions; lengths are those of its uniform skeleton (target clip 000021), in

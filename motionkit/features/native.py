@@ -9,7 +9,7 @@ central differences err by several percent at 20 fps. At framerate F, the yaw ra
 
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 
@@ -86,17 +86,10 @@ def positions_at(
     return np.concatenate((root[:, None], joints), axis=1, dtype=np.float32)
 
 
-def mirrored(vectors: Float[np.ndarray, "*poses numbers"], layout: str) -> Float[np.ndarray, "*poses numbers"]:
-    """The vectors of the mirror image (x ← −x, left and right joints exchanged)."""
-    source, sign = _mirror_map(layout)
-    return np.asarray(vectors[..., source] * sign)
-
-
-@lru_cache(maxsize=4)
-def _mirror_map(layout: str) -> tuple[Int[np.ndarray, "numbers"], Float32[np.ndarray, "numbers"]]:
-    """Source index and sign of each element of a mirrored vector."""
-    body = pose_layout(layout)
-    slices, joints = body.vector, exchanged(body.num_joints, body.skeleton.left_right_pairs)
+@cache
+def _mirror_map() -> tuple[Int[np.ndarray, "numbers"], Float32[np.ndarray, "numbers"]]:
+    """Source index and sign of each element of a mirrored vector of the 22 joints."""
+    slices, joints = SMPL22_LAYOUT.vector, exchanged(SMPL22.num_joints, SMPL22.left_right_pairs)
     source, sign = np.arange(slices.size), np.ones(slices.size, np.float32)
     sign[slices.root_yaw_velocity] = -1.0
     sign[slices.root_velocity] = (-1.0, 1.0)
@@ -161,8 +154,9 @@ class NativeVectors:
         return yaw_rate + velocity, *others
 
     def mirror(self, values: Float32[np.ndarray, "*frames features"]) -> Float32[np.ndarray, "*frames features"]:
-        """The vectors of the mirrored motion."""
-        return mirrored(values, SMPL22.name)
+        """The vectors of the mirror image (x ← −x, left and right joints exchanged)."""
+        source, sign = _mirror_map()
+        return np.asarray(values[..., source] * sign)
 
     def between(self, before: Values, after: Values, weight: Weight) -> Values:
         """Linear, number by number."""

@@ -246,6 +246,17 @@ def _seconds(value: object, what: str) -> float:
     return number
 
 
+def _captions(annotations: Iterable[Any], text: str, start: str, end: str) -> list[Caption]:
+    """The sentences of objects with these keys, with their seconds; swapped ends are reordered."""
+    captions = []
+    for each in annotations:
+        if not isinstance(each, dict) or not isinstance(each.get(text), str):
+            raise ValueError(f"an annotation without {text}")
+        first, last = sorted(_seconds(each.get(which), which) for which in (start, end))
+        captions.append(Caption(each[text], first, last))
+    return captions
+
+
 def _read_csv(
     text: str, path: Path, name: str, expected: tuple[str, ...], entry_of: Callable[[str, Any], Entry]
 ) -> Index:
@@ -314,11 +325,7 @@ def _seed(name: str, row: Mapping[str, str | None], events: Iterable[Any]) -> En
     cells = {column: (cell or "").strip() for column, cell in row.items() if column and not isinstance(cell, list)}
     paths = [_source_parts(cells[column]) for column in SEED_PATHS if cells.get(column)]
     captions = [Caption(text) for kind in SEED_TEXTS if (text := cells.get(f"content_{kind}"))]
-    for event in events:
-        if not isinstance(event, dict) or not isinstance(event.get("description"), str):
-            raise ValueError("an event without a description")
-        start, end = sorted(_seconds(event.get(which), which) for which in ("start_time", "end_time"))
-        captions.append(Caption(event["description"], start, end))
+    captions += _captions(events, "description", "start_time", "end_time")
     return Entry(
         name=name,
         parts=paths[0] if paths else _source_parts(None),
@@ -338,12 +345,7 @@ def _tmr(name: str, value: Any) -> Entry:
     parts = _source_parts(value.get("path"))
     mirrored = parts[0] == MIRROR and len(parts) > 1
     parts = parts[1:] if mirrored else parts
-    captions: list[Caption] = []
-    for each in value["annotations"]:
-        if not isinstance(each, dict) or not isinstance(each.get("text"), str):
-            raise ValueError("an annotation without text")
-        first, last = sorted(_seconds(each.get(which), which) for which in ("start", "end"))
-        captions.append(Caption(each["text"], first, last))
+    captions = _captions(value["annotations"], "text", "start", "end")
     start = min((caption.start_seconds for caption in captions), default=0.0)
     end = max((caption.end_seconds or 0.0 for caption in captions), default=None)
     duration = _seconds(value["duration"], "duration") if "duration" in value else None

@@ -1,14 +1,22 @@
-"""Lengths of bones, from joint positions, and those of people; and what Mixamo calls the joints of SMPL."""
+"""Lengths of bones, from joint positions, and those of people; rotations; what Mixamo calls the joints of SMPL."""
 
 import numpy as np
 
 import motionkit as mk
+from motionkit.core.kinematics import forward_kinematics
 from motionkit.core.skeletons.mapping import map_joints
 
 
 def bone_lengths(positions: np.ndarray, skeleton: mk.Skeleton) -> np.ndarray:
     """Distance of every joint but the root to its parent [..., joints - 1], in metres."""
     return np.asarray(np.linalg.norm(positions[..., 1:, :] - positions[..., skeleton.parents[1:], :], axis=-1))
+
+
+def check_rotations(motion: mk.Motion, tolerance: float = 1e-5) -> None:
+    """A motion has rotations, whose forward kinematics gives its positions."""
+    assert motion.local_rotations is not None and motion.root_translation is not None
+    again = forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton)
+    np.testing.assert_allclose(again, motion.joint_positions, atol=tolerance)
 
 
 def bone(body: np.ndarray, one: str, other: str) -> float:

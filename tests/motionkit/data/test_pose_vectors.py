@@ -85,8 +85,9 @@ class TestNative:
         mirrored = mirror_positions(motion.joint_positions, mk.SMPL22.left_right_pairs)
         vectors = native.vectors(motion.joint_positions, "smpl22", motion.fps)
         expected = native.vectors(mirrored, "smpl22", motion.fps)
-        np.testing.assert_allclose(native.mirrored(vectors, "smpl22"), expected, atol=2e-4)
-        np.testing.assert_array_equal(native.mirrored(native.mirrored(vectors, "smpl22"), "smpl22"), vectors)
+        mirror = native.NativeVectors().mirror
+        np.testing.assert_allclose(mirror(vectors), expected, atol=2e-4)
+        np.testing.assert_array_equal(mirror(mirror(vectors)), vectors)
 
     def test_the_path_is_integrated_over_the_time_stamps(self) -> None:
         motion = to_motion(analytic_motion("walk", 4.0), Fraction(240))

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from motionkit.core import kinematics
 from motionkit.io.asfamc import parse_amc, read_asfamc
 from motionkit.io.registry import ReadOptions
+from tests.helpers.bones import check_rotations
 from tests.helpers.format_samples import ASF, amc_text, write_asfamc
 from tests.helpers.refusal import refusal
 
@@ -51,9 +51,7 @@ def test_the_formula_of_the_format(tmp_path: Path) -> None:
     assert motion.skeleton.joint_names == ("root", "lfemur", "ltibia")
     assert np.allclose(motion.joint_positions[2, 2], knee * unit, atol=1e-6)
     assert np.allclose(motion.joint_positions[2, 1], np.array([0, 18, 0]) * unit)
-    assert motion.local_rotations is not None and motion.root_translation is not None
-    again = kinematics.forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton)
-    assert np.allclose(again, motion.joint_positions, atol=1e-6)
+    check_rotations(motion, 1e-6)
 
 
 def test_every_real_take_is_an_upright_metre_sized_body_and_its_rotations_are_true(captures: Path) -> None:
@@ -61,9 +59,7 @@ def test_every_real_take_is_an_upright_metre_sized_body_and_its_rotations_are_tr
         motion = read_asfamc(path, AT_120)
         height = motion.joint_positions[:, motion.skeleton.index("head"), 1]
         assert 1.2 < np.percentile(height, 90) < 2.4, path.name  # subject 01 climbs
-        assert motion.local_rotations is not None and motion.root_translation is not None
-        again = kinematics.forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton)
-        assert np.abs(again - motion.joint_positions).max() < 1e-5
+        check_rotations(motion)
 
 
 @pytest.mark.parametrize("name", BAD_MOTIONS)

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.core import kinematics
 from motionkit.core.skeletons.mapping import joint_map
 from motionkit.io.bvh import T_POSE_DROPPED, read_bvh, read_document
 from motionkit.io.registry import ReadOptions
+from tests.helpers.bones import check_rotations
 from tests.helpers.format_samples import NUM_BVH_CHANNELS, bvh_hierarchy, bvh_text
 from tests.helpers.refusal import refusal
 
@@ -27,9 +27,7 @@ def test_positions_rotations_and_framerate(tmp_path: Path) -> None:
     bend = np.radians(30)
     forearm = motion.joint_positions[3, hand] - motion.joint_positions[3, elbow]
     assert np.allclose(forearm, (0.26 * np.cos(bend), 0.26 * np.sin(bend), 0.0), atol=1e-6)
-    assert motion.local_rotations is not None and motion.root_translation is not None
-    again = kinematics.forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton)
-    assert np.allclose(again, motion.joint_positions, atol=1e-6)
+    check_rotations(motion, 1e-6)
 
 
 @pytest.mark.parametrize("pattern", ["cmu/bvh/*.bvh", "cmu/bvh-converted/*.bvh", "mixed-bvh/*/*.bvh"])

@@ -19,6 +19,7 @@ from motionkit.io.registry import ReadOptions
 from motionkit.io.scan import read, scan
 from motionkit.io.smpl_body import mean_shape_skeleton
 from motionkit.io.texts import read_texts
+from tests.helpers.bones import check_rotations
 from tests.helpers.every_format import write_pose_folder
 from tests.helpers.refusal import refusal
 from tests.helpers.vector_samples import (
@@ -180,8 +181,7 @@ def test_motionstreamer(tmp_path: Path, motion: mk.Motion) -> None:
     np.testing.assert_allclose(
         abs(np.sum(found.local_rotations[:, 1:] * motion.local_rotations[:, 1:], -1)), 1, atol=1e-5
     )
-    again = kinematics.forward_kinematics(found.local_rotations, found.root_translation, found.skeleton)
-    np.testing.assert_allclose(again, found.joint_positions, atol=1e-5)
+    check_rotations(found)
 
 
 @pytest.mark.parametrize(
@@ -217,8 +217,7 @@ def test_hymotion_and_motion135(tmp_path: Path) -> None:
         found = read(item)
         assert found.fps == 30
         np.testing.assert_allclose(found.joint_positions, joints, atol=1e-5)
-        again = kinematics.forward_kinematics(found.local_rotations, found.root_translation, found.skeleton)
-        np.testing.assert_allclose(again, joints, atol=1e-4)
+        check_rotations(found, 1e-4)
 
 
 @pytest.mark.parametrize("vimogen", [False, True])
@@ -309,8 +308,7 @@ def test_unitree_g1_stands_as_its_model_does(tmp_path: Path) -> None:
     rows = np.concatenate([np.diff(root[:, :2], axis=0, prepend=0), root[:, 2:], sixes, angles], axis=1)
     found = _read(tmp_path / "a.npy", np.float32(rows))
     np.testing.assert_allclose(found.joint_positions[..., [0, 2, 1]] * [1, -1, 1], expected, atol=1e-5)
-    again = kinematics.forward_kinematics(found.local_rotations, found.root_translation, found.skeleton)
-    np.testing.assert_allclose(again, found.joint_positions, atol=1e-5)
+    check_rotations(found)
     # The published model stands with its pelvis 0.793 m above the floor.
     zero = _read(tmp_path / "zero.npy", np.eye(1, 38, 3, dtype=np.float32) + np.eye(1, 38, 6, dtype=np.float32))
     assert zero.joint_positions[0, found.skeleton.index("right_toe_base"), 1] == pytest.approx(-0.793, abs=2e-3)
@@ -345,8 +343,7 @@ def test_unitree_g1_in_csv(tmp_path: Path, kind: str) -> None:
     found = mk.read(path)
     assert found.fps == (120 if kind == "seed" else 30)
     np.testing.assert_allclose(found.joint_positions[..., [0, 2, 1]] * [1, -1, 1], expected, atol=1e-5)
-    again = kinematics.forward_kinematics(found.local_rotations, found.root_translation, found.skeleton)
-    np.testing.assert_allclose(again, found.joint_positions, atol=1e-5)
+    check_rotations(found)
     if kind != "seed":
         other = mk.read(path, format="g1-csv-xyzw" if kind == "w first" else "g1-csv-wxyz")
         assert np.abs(other.joint_positions - found.joint_positions).max() > 0.5

@@ -10,7 +10,6 @@ import torch
 from scipy.spatial.transform import Rotation
 
 import motionkit as mk
-from motionkit.core import kinematics
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.skeletons.mapping import map_joints, rest_positions
 from motionkit.fields.motion_field import to_motion
@@ -30,6 +29,7 @@ from tests.helpers.amass_samples import (
     write_body_model,
 )
 from tests.helpers.analytic import analytic_motion
+from tests.helpers.bones import check_rotations
 from tests.helpers.refusal import refusal
 from tests.motionkit.io.test_character import directions
 
@@ -388,8 +388,7 @@ def test_positions_and_rotations(tmp_path, num_joints):
     motion = read_kimodo(tmp_path / "a.npz")
     assert motion.fps == 30
     np.testing.assert_array_equal(motion.joint_positions, positions)
-    again = kinematics.forward_kinematics(motion.local_rotations, motion.root_translation, motion.skeleton)
-    np.testing.assert_allclose(again, positions, atol=2e-6)
+    check_rotations(motion, 2e-6)
 
 
 @pytest.mark.parametrize("num_joints", [30, 77])
