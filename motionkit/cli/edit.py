@@ -11,27 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from motionkit.cli.console import (
-    AsJson,
-    Clips,
-    FileFormat,
-    Onto,
-    Overwrite,
-    RunsFolder,
-    SkeletonMaps,
-    SourceFps,
-    StorePath,
-    Up,
-    Where,
-    of_source,
-    parse_rate,
-    print_failures,
-    print_json,
-    progress,
-    read_options,
-    stderr,
-    stdout,
-)
+from motionkit.cli import console
 from motionkit.core import plugins
 from motionkit.core.errors import FormatError, MotionkitError, UsageError, describe
 from motionkit.core.files import default_path
@@ -66,17 +46,17 @@ def complete(
     run: Annotated[
         str | None, typer.Option(help="Run that holds the trained encoder.", show_default="the one trained last")
     ] = None,
-    runs: RunsFolder = None,
+    runs: console.RunsFolder = None,
     out: Annotated[
         Path | None,
         typer.Option(help="File, or folder for several clips.", show_default="NAME.completed.EXT beside each"),
     ] = None,
-    file_format: FileFormat = None,
-    overwrite: Overwrite = False,
-    source_fps: SourceFps = None,
-    skeleton_map: SkeletonMaps = None,
-    store: StorePath = None,
-    as_json: AsJson = False,
+    file_format: console.FileFormat = None,
+    overwrite: console.Overwrite = False,
+    source_fps: console.SourceFps = None,
+    skeleton_map: console.SkeletonMaps = None,
+    store: console.StorePath = None,
+    as_json: console.AsJson = False,
 ) -> None:
     """Complete clips: a higher framerate, gaps filled, ends continued; given frames and bone lengths are kept.
 
@@ -88,19 +68,19 @@ def complete(
     from motionkit.io.scan import COMPLETED
 
     before, after = parse_extend(extend or "0")
-    request = CompletionRequest(parse_rate(fps), parse_keep(keep) if keep else None, before, after, plant)
-    options = read_options(parse_rate(source_fps, "--source-fps"), skeleton_map, skip_derived=True)
+    request = CompletionRequest(console.parse_rate(fps), parse_keep(keep) if keep else None, before, after, plant)
+    options = console.read_options(console.parse_rate(source_fps, "--source-fps"), skeleton_map, skip_derived=True)
     sources, problems = find_motions(clips, options, store or default_path("store"))
     paths = OutputPaths(COMPLETED, clips, len(sources), out=out, file_format=file_format, overwrite=overwrite)
     chosen = choose_encoder(model, run, runs or default_path("runs"))
-    stderr.print(f"motionkit: completing with {chosen.explanation}")
+    console.stderr.print(f"motionkit: completing with {chosen.explanation}")
     edit = partial(completed_motion, request=request, chosen=chosen)
     _edit_each("complete", sources, problems, edit, paths, as_json, {"encoder": chosen.name}, request.fps)
 
 
 def plant(
-    clips: Clips = None,
-    where: Where = None,
+    clips: console.Clips = None,
+    where: console.Where = None,
     path: Annotated[
         Literal["near", "free"],
         typer.Option("--path", help="Keep the body near its own path, or let the standing feet carry it."),
@@ -109,12 +89,12 @@ def plant(
         Path | None,
         typer.Option(help="File, or folder for several clips.", show_default="NAME.planted.EXT beside each"),
     ] = None,
-    file_format: FileFormat = None,
-    overwrite: Overwrite = False,
-    source_fps: SourceFps = None,
-    skeleton_map: SkeletonMaps = None,
-    store: StorePath = None,
-    as_json: AsJson = False,
+    file_format: console.FileFormat = None,
+    overwrite: console.Overwrite = False,
+    source_fps: console.SourceFps = None,
+    skeleton_map: console.SkeletonMaps = None,
+    store: console.StorePath = None,
+    as_json: console.AsJson = False,
 ) -> None:
     """Make sliding feet stand, in captures and in anybody's samples; bones keep their length.
 
@@ -128,7 +108,7 @@ def plant(
 
     if not clips and (out is None or (store is None and where is None)):
         raise UsageError("name clips or folders; or a store (--store) and a folder for its sequences (--out)")
-    options = read_options(parse_rate(source_fps, "--source-fps"), skeleton_map, skip_derived=True)
+    options = console.read_options(console.parse_rate(source_fps, "--source-fps"), skeleton_map, skip_derived=True)
     where = where if clips else where or "true"
     sources, problems = find_motions(clips or (), options, store or default_path("store"), where)
     paths = OutputPaths(PLANTED, clips or (), len(sources), out=out, file_format=file_format, overwrite=overwrite)
@@ -145,14 +125,14 @@ def convert(
     fps: Annotated[
         str | None, typer.Option(help="New framerate, any: 60, 23.976, 30000/1001.", show_default="the file's own")
     ] = None,
-    onto: Onto = None,
-    up: Up = None,
-    file_format: FileFormat = None,
-    overwrite: Overwrite = False,
-    source_fps: SourceFps = None,
-    skeleton_map: SkeletonMaps = None,
-    store: StorePath = None,
-    as_json: AsJson = False,
+    onto: console.Onto = None,
+    up: console.Up = None,
+    file_format: console.FileFormat = None,
+    overwrite: console.Overwrite = False,
+    source_fps: console.SourceFps = None,
+    skeleton_map: console.SkeletonMaps = None,
+    store: console.StorePath = None,
+    as_json: console.AsJson = False,
 ) -> None:
     """Convert one file into another: its format (by the suffix of OUT), its framerate, its rig.
 
@@ -162,10 +142,10 @@ def convert(
     from motionkit.edit.motions import OutputPaths, find_motions
     from motionkit.io.character import read_character
 
-    rate = parse_rate(fps)
-    options = read_options(parse_rate(source_fps, "--source-fps"), skeleton_map, up=up)
+    rate = console.parse_rate(fps)
+    options = console.read_options(console.parse_rate(source_fps, "--source-fps"), skeleton_map, up=up)
     sources, problems = find_motions([source], options, store or default_path("store"))
-    character = None if onto is None else read_character(onto, read_options(None, skeleton_map))
+    character = None if onto is None else read_character(onto, console.read_options(None, skeleton_map))
     paths = OutputPaths(
         *("converted", [source], len(sources)),
         out=out,
@@ -196,27 +176,27 @@ def _edit_each(
     """
     from motionkit.edit.motions import edit_file
 
-    failures = [(str(problem.path), of_source(str(problem), problem)) for problem in problems]
-    print_failures(failures)
+    failures = [(str(problem.path), console.of_source(str(problem), problem)) for problem in problems]
+    console.print_failures(failures)
     done: list[dict[str, Any]] = []
-    with progress() as show:
+    with console.progress() as show:
         for source in tracked(show, verb, sources, len(sources)):
             try:
                 path, edited = edit_file(source, edit, paths, fps)
             except (MotionkitError, OSError) as error:
-                failures.append((source.name, of_source(describe(error), error)))
-                print_failures(failures[-1:])
+                failures.append((source.name, console.of_source(describe(error), error)))
+                console.print_failures(failures[-1:])
                 continue
             clip = {"clip": source.name, "file": str(path)}
             done.append({**clip, **edited.details, "warnings": list(edited.warnings)})
             for warning in edited.warnings:
-                stderr.print(f"motionkit: warning: {source.name}: {warning}")
+                console.stderr.print(f"motionkit: warning: {source.name}: {warning}")
             if edited.remark:
-                stderr.print(f"motionkit: {source.name}: {edited.remark}")
+                console.stderr.print(f"motionkit: {source.name}: {edited.remark}")
             if not as_json:
-                stdout.print(str(path))
+                console.stdout.print(str(path))
     if as_json:
         failed = [{"clip": name, "message": message} for name, message in failures]
-        print_json({**about, "clips": done, "failed": failed})
+        console.print_json({**about, "clips": done, "failed": failed})
     if failures:
         raise typer.Exit(1)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from motionkit.cli.console import AsJson, Overwrite, RunsFolder, parse_rate, print_json, progress, stderr, stdout
+from motionkit.cli import console
 from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import is_store
 from motionkit.core.progress import task
@@ -68,15 +68,15 @@ def generate(
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same motions at every framerate.")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Continue a stopped call.")] = False,
-    overwrite: Overwrite = False,
+    overwrite: console.Overwrite = False,
     model: Annotated[
         str | None, typer.Option(help="Installed model.", show_default="the one that the run holds")
     ] = None,
     run: Annotated[
         str | None, typer.Option(help="Name of the run.", show_default="nano, else the shipped cmu-small")
     ] = None,
-    runs: RunsFolder = None,
-    as_json: AsJson = False,
+    runs: console.RunsFolder = None,
+    as_json: console.AsJson = False,
 ) -> None:
     """Generate motions from texts, actions or nothing: any framerate, or poses at arbitrary instants.
 
@@ -99,7 +99,7 @@ def generate(
     if seconds is None and table is not None and table.seconds is not None:
         seconds = float(table.seconds[-1])
     chosen = parse_prompts(prompts, texts or [], action or [], unconditional, seconds)
-    rate, instants = parse_rate(fps), parse_times(times)
+    rate, instants = console.parse_rate(fps), parse_times(times)
     output = output_format(file_format, instants)
     constraints = parse_constraints(table, join, chosen, pose, joint, placed=pose_placed)
     request = MotionsRequest(tuple(chosen), count, instants, rate, join, constraints)
@@ -116,24 +116,24 @@ def generate(
         trained_on = RunFolder(place).stage(loader_named("MODELS", name).stages[-1]).read_config()["store"]
         if trained_on and is_store(Path(trained_on)):
             for text, nearest in unfamiliar_texts(encoder, Store.open(trained_on), given).items():
-                stderr.print(f"motionkit: nothing like {text!r} in training: nearest {nearest!r}")
+                console.stderr.print(f"motionkit: nothing like {text!r} in training: nearest {nearest!r}")
     num_motions = len(request.motions)
     if job.num_joined:
-        stderr.print(
+        console.stderr.print(
             f"motionkit: {job.num_joined:,} of {counted(num_motions, 'motion')}: joined from several of up to "
             f"{loaded.max_duration_seconds:g} s, the longest that the model makes at once"
         )
     motions = []
     with locked_output(out, job.manifest(), resume=resume, overwrite=overwrite):
         num_complete = len(job.complete_in(out))
-        with progress() as show, task(show, "generate", num_motions, done=num_complete) as work:
+        with console.progress() as show, task(show, "generate", num_motions, done=num_complete) as work:
             for facts in job.write(out):
                 work.advance()
                 motions.append(facts)
                 if not as_json:
-                    stdout.print(facts["file"])
+                    console.stdout.print(facts["file"])
     if as_json:
         about = {"model": loaded.name, "run": place.name, "seed": seed, "folder": str(out)}
-        print_json({**about, "already_there": num_complete, "motions": motions})
+        console.print_json({**about, "already_there": num_complete, "motions": motions})
     elif num_complete:
-        stderr.print(f"motionkit: {num_complete:,} of {counted(num_motions, 'motion')}: there already")
+        console.stderr.print(f"motionkit: {num_complete:,} of {counted(num_motions, 'motion')}: there already")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from motionkit.cli.console import AsJson, Overwrite, RunsFolder, print_json, progress, stdout
+from motionkit.cli import console
 from motionkit.core.errors import StoreError, UsageError, counted
 from motionkit.core.files import default_path, is_store, require_new, whole_folder, write_whole
 from motionkit.core.progress import task
@@ -22,9 +22,9 @@ def pack(
     run: Annotated[str, typer.Argument(help="Run to pack.", show_default=False)],
     out: Annotated[Path, typer.Argument(help="Folder for the packed run.", show_default=False)],
     model: Annotated[str | None, typer.Option(help="Installed model.", show_default="the run's")] = None,
-    runs: RunsFolder = None,
-    overwrite: Overwrite = False,
-    as_json: AsJson = False,
+    runs: console.RunsFolder = None,
+    overwrite: console.Overwrite = False,
+    as_json: console.AsJson = False,
 ) -> None:
     """Pack a run's model for generation alone: half precision, without training latents, checkpoints and logs.
 
@@ -48,9 +48,9 @@ def pack(
         write_whole(card, render("run_card.md.j2", stages=stages, packed=True, code=code))
     size = sum(path.stat().st_size for path in files)
     if as_json:
-        print_json({"folder": str(out), "stages": stages, "bytes": size})
+        console.print_json({"folder": str(out), "stages": stages, "bytes": size})
     else:
-        stdout.print(f"packed {', '.join(stages)} into {out}: {size / 1e6:,.1f} MB")
+        console.stdout.print(f"packed {', '.join(stages)} into {out}: {size / 1e6:,.1f} MB")
 
 
 def push(
@@ -60,10 +60,10 @@ def push(
     ],
     store: Annotated[Path | None, typer.Option(help="Store to push.", show_default="./store")] = None,
     run: Annotated[str | None, typer.Option(help="Run to push: its complete stages, without checkpoints.")] = None,
-    runs: RunsFolder = None,
+    runs: console.RunsFolder = None,
     public: Annotated[bool, typer.Option("--public", help="Let everybody have it; else it is private.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be pushed; the Hub is not asked.")] = False,
-    as_json: AsJson = False,
+    as_json: console.AsJson = False,
 ) -> None:
     """Validate a store, or a run, and push it with a card to a repository of the Hugging Face Hub.
 
@@ -108,12 +108,12 @@ def push(
     if as_json:
         names = [str(path.relative_to(folder)) for path in files]
         pushed = {"files": names, "bytes": size, "licences": licences, "dry_run": dry_run, "commit": url}
-        print_json({"repository": repository.to_uri(), **pushed})
+        console.print_json({"repository": repository.to_uri(), **pushed})
         return
     for name in licences:
-        stdout.print(f"  licence: {name}")
+        console.stdout.print(f"  licence: {name}")
     done = f"{'would push' if dry_run else 'pushed'} {counted(len(files), 'file')}, {size / 1e6:,.1f} MB, to {address}"
-    stdout.print(f"{done} ({url})" if url else done)
+    console.stdout.print(f"{done} ({url})" if url else done)
 
 
 def _require_intact(store: Path, hint: str) -> None:
@@ -121,7 +121,7 @@ def _require_intact(store: Path, hint: str) -> None:
     from motionkit.store.commit import read_manifest
     from motionkit.store.validate import faults
 
-    with progress() as show, task(show, "check", len(read_manifest(store).files)) as work:
+    with console.progress() as show, task(show, "check", len(read_manifest(store).files)) as work:
         fault = next(faults(store, lambda _: work.advance()), None)
     if fault:
         raise StoreError(f"{store} is damaged ({fault}): {hint}")
@@ -151,9 +151,9 @@ def pull(
     ],
     store: Annotated[Path | None, typer.Option(help="Folder for the store.", show_default="./store")] = None,
     run: Annotated[str | None, typer.Option(help="Name of the run here; the repository's by default.")] = None,
-    runs: RunsFolder = None,
-    overwrite: Overwrite = False,
-    as_json: AsJson = False,
+    runs: console.RunsFolder = None,
+    overwrite: console.Overwrite = False,
+    as_json: console.AsJson = False,
 ) -> None:
     """Pull a store, or a run, from a repository of the Hugging Face Hub into a new folder.
 
@@ -188,6 +188,6 @@ def pull(
             if not _complete_stages(partial):
                 raise hub.HubError(f"{address} holds no run (no STAGE/summary.json)")
     if as_json:
-        print_json({"repository": repository.to_uri(), "folder": str(folder)})
+        console.print_json({"repository": repository.to_uri(), "folder": str(folder)})
     else:
-        stdout.print(f"pulled {address} to {folder}")
+        console.stdout.print(f"pulled {address} to {folder}")

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from motionkit.cli.console import Overwrite, Up, named_store, print_json, stderr, stdout
+from motionkit.cli import console
 from motionkit.core.errors import UsageError, counted, lasting
 from motionkit.core.files import default_path, is_store
 
@@ -22,11 +22,11 @@ def info(
         ),
     ] = None,
     store: Annotated[Path | None, typer.Option(help="Store to describe.", show_default="./store")] = None,
-    up: Up = None,
+    up: console.Up = None,
     init: Annotated[
         Path | None, typer.Option(metavar="RIG.TOML", help="Draft a map of FILE's rig, for --skeleton-map.")
     ] = None,
-    overwrite: Overwrite = False,
+    overwrite: console.Overwrite = False,
     quality: Annotated[
         bool, typer.Option("--quality", help="Say what looks odd: flags, worst sequences, upsampled ones.")
     ] = False,
@@ -52,18 +52,18 @@ def info(
     from motionkit.store import Store
     from motionkit.store.reports import report_quality, summarise
 
-    opened = Store.open(named_store(path, store) or default_path("store"))
+    opened = Store.open(console.named_store(path, store) or default_path("store"))
     if quality:
         report = report_quality(opened, where)
-        print_json(report) if as_json else _print_lines(_quality_lines(report))
+        console.print_json(report) if as_json else _print_lines(_quality_lines(report))
     else:
         summary = summarise(opened)
-        print_json(summary) if as_json else _print_lines(_summary_lines(summary))
+        console.print_json(summary) if as_json else _print_lines(_summary_lines(summary))
 
 
 def _print_lines(lines: Iterable[str]) -> None:
     for line in lines:
-        stdout.print(line)
+        console.stdout.print(line)
 
 
 def _show_file(path: Path, up: str | None, init: Path | None, as_json: bool, *, overwrite: bool) -> None:
@@ -84,10 +84,12 @@ def _show_file(path: Path, up: str | None, init: Path | None, as_json: bool, *, 
             raise
         motion, has_framerate = next(read_all(path, fps=1, up=up)), False
     described = describe_motion(motion, has_framerate=has_framerate)
-    print_json({"file": str(path), **described}) if as_json else _print_lines([str(path), *_file_lines(described)])
+    console.print_json({"file": str(path), **described}) if as_json else _print_lines(
+        [str(path), *_file_lines(described)]
+    )
     if init is not None:
         write_whole(init, draft_map(motion.skeleton, init.stem))
-        stderr.print(f"{init}: complete it; motionkit view {path} --skeleton-map {init} shows it")
+        console.stderr.print(f"{init}: complete it; motionkit view {path} --skeleton-map {init} shows it")
 
 
 def _file_lines(described: dict[str, Any]) -> Iterator[str]:

@@ -9,17 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from motionkit.cli.console import (
-    SkeletonMaps,
-    Up,
-    of_default,
-    parse_rate,
-    print_json,
-    progress,
-    read_options,
-    stderr,
-    stdout,
-)
+from motionkit.cli import console
 from motionkit.core.errors import FormatError, MotionkitError, UsageError, counted, lasting
 from motionkit.core.files import default_path
 
@@ -62,8 +52,8 @@ def ingest(
     unit_metres: Annotated[
         float | None, typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.")
     ] = None,
-    up: Up = None,
-    skeleton_map: SkeletonMaps = None,
+    up: console.Up = None,
+    skeleton_map: console.SkeletonMaps = None,
     body_models: Annotated[
         Path | None,
         typer.Option(
@@ -107,8 +97,8 @@ def ingest(
     if index and (skip_frames or captions):
         raise UsageError("--skip-frames and --captions are about whole files, --index is about segments of files")
     of_index = IndexOptions(tuple(index or ()), texts, splits, mirrored, published=compat is not None)
-    options = read_options(
-        *(parse_rate(fps), skeleton_map, unit_metres, up),
+    options = console.read_options(
+        *(console.parse_rate(fps), skeleton_map, unit_metres, up),
         format=format,
         captions=captions,
         index=of_index if index else None,
@@ -123,11 +113,11 @@ def ingest(
         """Print the first few faults of each reason: a corpus can have many."""
         num_printed[fault.reason] += 1
         if num_printed[fault.reason] <= MAX_PRINTED_OF_A_REASON:
-            stderr.print(f"{prefix}{fault}")
+            console.stderr.print(f"{prefix}{fault}")
         elif num_printed[fault.reason] == MAX_PRINTED_OF_A_REASON + 1:
-            stderr.print(f"{prefix}more of the kind {fault.reason}: counted at the end, --json names them all")
+            console.stderr.print(f"{prefix}more of the kind {fault.reason}: counted at the end, --json names them all")
 
-    with progress() as show:
+    with console.progress() as show:
         report = ingest_sources(
             *(sources, store or default_path("store")),
             options=options,
@@ -139,7 +129,7 @@ def ingest(
             on_problem=print_fault,
             on_warning=partial(print_fault, prefix="warning: "),
         )
-    print_json(_as_json(report)) if as_json else _print_summary(report, of_default("--store", store))
+    console.print_json(_as_json(report)) if as_json else _print_summary(report, console.of_default("--store", store))
     if report.problems and on_error == "stop":
         raise MotionkitError(f"stopped at the first problem; the store {report.store} is as it was")
     if not report.num_in_store:
@@ -151,34 +141,36 @@ def ingest(
 def _print_summary(report: "IngestReport", of_store: str) -> None:
     stored = report.stored.select(["num_frames", "duration_seconds", "quality_flags", "split", "subject"]).to_pydict()
     num_sequences = report.stored.num_rows
-    stdout.print(
+    console.stdout.print(
         f"stored {counted(num_sequences, 'sequence')} ({lasting(sum(stored['duration_seconds'], 0.0))}, "
         f"{counted(sum(stored['num_frames']), 'frame')}) in {report.store}, which holds {report.num_in_store:,}",
     )
     if report.num_already_stored:
-        stdout.print(f"already there: {report.num_already_stored:,}, as they were (--overwrite makes the store anew)")
+        console.stdout.print(
+            f"already there: {report.num_already_stored:,}, as they were (--overwrite makes the store anew)"
+        )
     for name, faults in (("failed", report.problems), ("warnings", report.warnings)):
         if faults:
             reasons = [f"{count:,} {reason}" for reason, count in _counts(each.reason for each in faults).items()]
-            stdout.print(f"{name}: {len(faults):,} ({', '.join(reasons)})")
+            console.stdout.print(f"{name}: {len(faults):,} ({', '.join(reasons)})")
     if report.ignored:
         suffixes = _counts(path.suffix.lower() or path.name for path in report.ignored)
         kinds = [f"{count:,} {suffix}" for suffix, count in suffixes.items()]
         listed = ", ".join(kinds[:SHOWN_KINDS]) + (", …" if len(kinds) > SHOWN_KINDS else "")
-        stdout.print(f"ignored: {len(report.ignored):,} ({listed}; the first: {report.ignored[0]})")
+        console.stdout.print(f"ignored: {len(report.ignored):,} ({listed}; the first: {report.ignored[0]})")
     for name, counts in report.datasets.items():
-        stdout.print(f"{name or '-'}: {', '.join(f'{number:,} {state}' for state, number in counts.items())}")
+        console.stdout.print(f"{name or '-'}: {', '.join(f'{number:,} {state}' for state, number in counts.items())}")
     if not num_sequences:
         return
     if num_flagged := sum(map(bool, stored["quality_flags"])):
         flags = ", ".join(f"{count:,} {flag}" for flag, count in _counts(chain(*stored["quality_flags"])).items())
-        stdout.print(
+        console.stdout.print(
             f"quality: {counted(num_flagged, 'sequence')} with flags ({flags}); "
             f"'motionkit info --quality{of_store}' lists them"
         )
     by = "" if all(stored["subject"]) else " --by sequence_id"
     is_split = 2 * sum(map(bool, stored["split"])) >= num_sequences
-    stdout.print(f"next: motionkit {'train' if is_split else 'split' + by}{of_store}")
+    console.stdout.print(f"next: motionkit {'train' if is_split else 'split' + by}{of_store}")
 
 
 def _counts(words: Iterable[str]) -> dict[str, int]:

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from motionkit.cli.console import print_json, print_text, stdout
+from motionkit.cli import console
 from motionkit.core.files import default_path
 
 
@@ -23,9 +23,9 @@ def query(
 
     result = Store.open(store or default_path("store")).query(sql)
     if as_json:
-        print_json([_plain(row) for row in result.to_pylist()])
+        console.print_json([_plain(row) for row in result.to_pylist()])
     else:
-        print_text(result.to_pandas().to_string(index=False, line_width=stdout.width))
+        console.print_text(result.to_pandas().to_string(index=False, line_width=console.stdout.width))
 
 
 def _plain(value: Any) -> Any:

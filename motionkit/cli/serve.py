@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from motionkit.cli.console import RunsFolder, stderr
+from motionkit.cli import console
 from motionkit.core.errors import MissingExtraError
 
 
@@ -12,7 +12,7 @@ def serve(
     run: Annotated[
         str | None, typer.Option(help="Name of the run.", show_default="nano, else the shipped cmu-small")
     ] = None,
-    runs: RunsFolder = None,
+    runs: console.RunsFolder = None,
     host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 is every network.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535)] = 8000,
 ) -> None:
@@ -32,6 +32,6 @@ def serve(
     from motionkit.training.run import find_run
 
     place = find_run(run, runs)
-    stderr.print(f"motionkit: serving {place.name} at http://{host}:{port} (Ctrl-C ends it)")
+    console.stderr.print(f"motionkit: serving {place.name} at http://{host}:{port} (Ctrl-C ends it)")
     served = ServedModel(load_model(place.absolute()), place.name)
     motionmcp.serve(served, host=host, port=port, log_level="warning", title="motionkit")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from motionkit.cli.console import AsJson, StoreArgument, Where, named_store, of_default, print_json, progress, stdout
+from motionkit.cli import console
 from motionkit.core.errors import UsageError, counted, lasting
 from motionkit.core.files import default_path
 from motionkit.core.progress import task
@@ -19,7 +19,7 @@ DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be done,
 
 
 def validate(
-    path: StoreArgument = None,
+    path: console.StoreArgument = None,
     store: Annotated[Path | None, typer.Option(help="Store to check.", show_default="./store")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the faults as JSON.")] = False,
 ) -> None:
@@ -32,24 +32,24 @@ def validate(
     from motionkit.store.commit import read_manifest
     from motionkit.store.validate import faults
 
-    path = named_store(path, store) or default_path("store")
+    path = console.named_store(path, store) or default_path("store")
     manifest = read_manifest(path)
-    with progress() as show, task(show, "validate", len(manifest.files)) as work:
+    with console.progress() as show, task(show, "validate", len(manifest.files)) as work:
         found = list(faults(path, lambda name: work.advance()))
     if as_json:
-        print_json({"store": str(path), "fingerprint": manifest.fingerprint, "faults": found})
+        console.print_json({"store": str(path), "fingerprint": manifest.fingerprint, "faults": found})
     else:
         intact = (
             f"{path} is intact: {counted(manifest.num_sequences, 'sequence')}, {counted(len(manifest.files), 'file')}"
         )
         for line in found or [intact]:
-            stdout.print(line)
+            console.stdout.print(line)
     if found:
         raise typer.Exit(1)
 
 
 def split(
-    path: StoreArgument = None,
+    path: console.StoreArgument = None,
     shares: Annotated[
         str, typer.Option(help="What part of the motion, in seconds, each split gets: test=1 puts all of it there.")
     ] = "train=0.8,val=0.05,test=0.15",
@@ -74,7 +74,7 @@ def split(
     ] = False,
     store: ChangedStore = None,
     dry_run: DryRun = False,
-    as_json: AsJson = False,
+    as_json: console.AsJson = False,
 ) -> None:
     """Split a store into train, val and test so that held-out performers are not in training.
 
@@ -86,30 +86,34 @@ def split(
     from motionkit.store.life import PERFORMER
     from motionkit.store.life import split as split_store
 
-    store = named_store(path, store)
+    store = console.named_store(path, store)
     place, requested = store or default_path("store"), parse_shares(shares)
     report = split_store(
         place, requested, by=by or [PERFORMER], where=where, seed=seed, unseen_wordings=unseen_wordings, dry_run=dry_run
     )
     if as_json:
-        print_json({**asdict(report), "store": str(report.store), "seed": seed, "dry_run": dry_run})
+        console.print_json({**asdict(report), "store": str(report.store), "seed": seed, "dry_run": dry_run})
         return
-    stdout.print(
+    console.stdout.print(
         f"{'split':8}{'share':>8}{'asked':>8}{'length':>10}{'groups':>10}{'sequences':>12}{'wordings seen':>16}"
     )
     for each in report.splits:
         length, seen = lasting(each.duration_seconds), f"{each.num_seen:,} of {each.num_captioned:,}"
-        stdout.print(
+        console.stdout.print(
             f"{each.split:8}{each.share:8.3f}{each.requested_share:8.3f}{length:>10}{each.num_groups:10,}"
             f"{each.num_sequences:12,}{seen:>16}",
         )
     doing = "would change" if dry_run else "changed"
-    stdout.print(f"{doing} the split of {counted(report.num_changed, 'sequence')} of {report.store}, by {report.by}")
+    console.stdout.print(
+        f"{doing} the split of {counted(report.num_changed, 'sequence')} of {report.store}, by {report.by}"
+    )
     if unseen_wordings:
         doing = "would remove" if dry_run else "removed"
-        stdout.print(f"{doing} {counted(report.num_captions_removed, 'caption')} of train whose words val or test has")
+        console.stdout.print(
+            f"{doing} {counted(report.num_captions_removed, 'caption')} of train whose words val or test has"
+        )
     if not dry_run:
-        stdout.print(f"next: motionkit train{of_default('--store', store)}")
+        console.stdout.print(f"next: motionkit train{console.of_default('--store', store)}")
 
 
 def parse_shares(text: str) -> dict[str, float]:
@@ -131,10 +135,10 @@ def parse_shares(text: str) -> dict[str, float]:
 
 def remove(
     ids: Annotated[list[str] | None, typer.Argument(help="Ids of sequences.", show_default=False)] = None,
-    where: Where = None,
+    where: console.Where = None,
     store: ChangedStore = None,
     dry_run: DryRun = False,
-    as_json: AsJson = False,
+    as_json: console.AsJson = False,
 ) -> None:
     """Remove sequences from a store, by id or by a condition.
 
@@ -156,29 +160,31 @@ def remove(
         raise UsageError(f"no sequence of {path} satisfies {where!r}")
     if dry_run:
         if as_json:
-            print_json({"store": str(path), "dry_run": True, "would_remove": removed})
+            console.print_json({"store": str(path), "dry_run": True, "would_remove": removed})
             return
         for sequence_id in removed[:SHOWN_IDS]:
-            stdout.print(f"  {sequence_id}")
+            console.stdout.print(f"  {sequence_id}")
         if len(removed) > SHOWN_IDS:
-            stdout.print(f"  and {len(removed) - SHOWN_IDS:,} more: --json names all")
-        stdout.print(f"would remove {counted(len(removed), 'sequence')} from {path}")
+            console.stdout.print(f"  and {len(removed) - SHOWN_IDS:,} more: --json names all")
+        console.stdout.print(f"would remove {counted(len(removed), 'sequence')} from {path}")
         return
     manifest = read_manifest(path)
     if as_json:
         counts = {"sequences_in_store": manifest.num_sequences, "sequences_to_compact": manifest.num_removed}
-        print_json({"store": str(path), "removed": removed, **counts})
+        console.print_json({"store": str(path), "removed": removed, **counts})
         return
-    stdout.print(f"removed {counted(len(removed), 'sequence')} from {path}, which holds {manifest.num_sequences:,}")
+    console.stdout.print(
+        f"removed {counted(len(removed), 'sequence')} from {path}, which holds {manifest.num_sequences:,}"
+    )
     if manifest.num_removed:
-        stdout.print(f"their frames leave the disk with 'motionkit compact --store {path}'")
+        console.stdout.print(f"their frames leave the disk with 'motionkit compact --store {path}'")
 
 
 def merge(
     out: Annotated[Path, typer.Argument(help="Store to make or to add to.", show_default=False)],
     sources: Annotated[list[Path], typer.Argument(help="Stores to copy from.", show_default=False)],
-    where: Where = None,
-    as_json: AsJson = False,
+    where: console.Where = None,
+    as_json: console.AsJson = False,
 ) -> None:
     """Copy stores into one, or a subset of a store into a new one, unchanged.
 
@@ -189,18 +195,18 @@ def merge(
     from motionkit.store.commit import read_manifest
     from motionkit.store.life import merge as merge_stores
 
-    with progress() as show, task(show, "merge") as work:
+    with console.progress() as show, task(show, "merge") as work:
         new, known = merge_stores(out, sources, where=where, on_start=work.set_total, on_sequence=work.advance)
     in_store = read_manifest(out).num_sequences
     if as_json:
-        print_json({"store": str(out), "stored": new, "already_stored": known, "sequences_in_store": in_store})
+        console.print_json({"store": str(out), "stored": new, "already_stored": known, "sequences_in_store": in_store})
         return
-    stdout.print(f"stored {counted(new, 'sequence')} in {out}, which holds {in_store:,}")
+    console.stdout.print(f"stored {counted(new, 'sequence')} in {out}, which holds {in_store:,}")
     if known:
-        stdout.print(f"already there: {known:,}")
+        console.stdout.print(f"already there: {known:,}")
 
 
-def compact(store: ChangedStore = None, as_json: AsJson = False) -> None:
+def compact(store: ChangedStore = None, as_json: console.AsJson = False) -> None:
     """Rewrite a store's parts, full and without removed sequences; if interrupted, the store is unchanged.
 
     Sequences are renumbered from 0. Needs disk space for a second copy until it is done; programs that have the store
@@ -214,18 +220,18 @@ def compact(store: ChangedStore = None, as_json: AsJson = False) -> None:
 
     path = store or default_path("store")
     before = read_manifest(path)
-    with progress() as show, task(show, "compact", before.num_sequences) as work:
+    with console.progress() as show, task(show, "compact", before.num_sequences) as work:
         changed = compact_store(path, work.advance)
     after = read_manifest(path)
     if as_json:
         parts = {"parts_before": len(before.parts), "parts": len(after.parts)}
         sizes = {"bytes_before": before.num_bytes, "bytes": after.num_bytes}
-        print_json({"store": str(path), **parts, **sizes})
+        console.print_json({"store": str(path), **parts, **sizes})
         return
     if not changed:
-        stdout.print(f"{path} is compact already")
+        console.stdout.print(f"{path} is compact already")
         return
-    stdout.print(
+    console.stdout.print(
         f"{path}: {counted(len(before.parts), 'part')}, {before.num_bytes / MEGABYTE:,.1f} MB, became "
         f"{len(after.parts):,}, {after.num_bytes / MEGABYTE:,.1f} MB",
     )

@@ -10,17 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from motionkit.cli.console import (
-    RunsFolder,
-    StoreArgument,
-    named_store,
-    of_default,
-    parse_duration,
-    print_json,
-    progress,
-    stderr,
-    stdout,
-)
+from motionkit.cli import console
 from motionkit.core import plugins
 from motionkit.core.errors import MissingExtraError, MotionkitError, UsageError
 from motionkit.core.files import default_path
@@ -40,7 +30,7 @@ from motionkit.training.run import (
 
 
 def train(
-    path: StoreArgument = None,
+    path: console.StoreArgument = None,
     stage: Annotated[str, typer.Option(help="One installed stage, or all of the model's in order.")] = "all",
     target: Annotated[
         str | None, typer.Option("--for", metavar="table:N", help="Instead: what this table, or figure:N, lacks.")
@@ -48,7 +38,7 @@ def train(
     paper: Annotated[str | None, typer.Option(help="Paper whose table --for means.")] = None,
     recipe: Annotated[str, typer.Option(help="Named configuration: nano, small, demo, base, paper.")] = "nano",
     store: Annotated[Path | None, typer.Option(help="Store to train from.", show_default="./store")] = None,
-    runs: RunsFolder = None,
+    runs: console.RunsFolder = None,
     run: Annotated[str | None, typer.Option(help="This run's name; the recipe's by default.")] = None,
     budget: Annotated[
         str | None, typer.Option(metavar="20m", help="Processor time of each system: as many steps as fit.")
@@ -85,7 +75,7 @@ def train(
         raise UsageError("--resume and --overwrite exclude each other")
     if budget is not None and target is None and stage == "all":
         raise UsageError("--budget is for the systems of a table (--for table:2), or for one --stage")
-    store = named_store(path, store)
+    store = console.named_store(path, store)
     context = StageContext(
         store or default_path("store"),
         RunFolder((runs or default_path("runs")) / (run or recipe)),
@@ -108,16 +98,16 @@ def train(
     if show:
         shown = {key: value for config in config_of.values() for key, value in flatten(config).items()}
         if as_json:
-            print_json(shown)
+            console.print_json(shown)
         for key, value in () if as_json else shown.items():
-            stdout.print(f"{key}={setting_text(value)}")
+            console.stdout.print(f"{key}={setting_text(value)}")
         return
     if where:
         # Some stages select their sequences only after others have trained, or after minutes.
         from motionkit.store import Store
 
         Store.open(context.store).select_some(where)
-    seconds = None if budget is None else parse_duration(budget, "--budget")
+    seconds = None if budget is None else console.parse_duration(budget, "--budget")
     shares = {} if seconds is None else {name: seconds * share for name, share in plan.shares.items()}
     jobs = [Job(each, config_of.get(each.name), shares.get(each.name)) for each in plan.stages]
     with tensorboard_events(track and track / context.run.path.name) as on_metrics:
@@ -125,11 +115,12 @@ def train(
     if summaries is None:
         return
     if as_json:
-        print_json({"run": str(context.run.path), "stages": summaries})
+        console.print_json({"run": str(context.run.path), "stages": summaries})
     elif plan.next_command:
         name = context.run.path.name
+        places = console.of_default("--store", store) + console.of_default("--runs", runs)
         named = "" if name == "nano" else f" --run {shlex.quote(name)}"
-        stdout.print(f"next: {plan.next_command}{of_default('--store', store)}{of_default('--runs', runs)}{named}")
+        console.stdout.print(f"next: {plan.next_command}{places}{named}")
 
 
 def _plan(
@@ -204,7 +195,7 @@ def train_all(
     with (
         one_thread() if is_timed else nullcontext(),
         joined_ranks() as ranks,
-        progress() as show,
+        console.progress() as show,
         ExitStack() as locks,
         # Not of one stage, whose own bar says as much.
         task(show if title else ignore, title or "", len(jobs)) as overall,
@@ -244,10 +235,11 @@ def train_all(
                 summary = context.run.stage(job.stage.name).read_summary()
                 summaries.append({"stage": job.stage.name, **summary})
                 if not as_json:
-                    values = {
-                        key: f"{value:.4g}" if isinstance(value, float) else value for key, value in summary.items()
-                    }
-                    stdout.print(f"{job.stage.name}: {', '.join(f'{key} {value}' for key, value in values.items())}")
+                    values = [
+                        f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
+                        for key, value in summary.items()
+                    ]
+                    console.stdout.print(f"{job.stage.name}: {', '.join(values)}")
     return summaries if ranks.is_first else None
 
 
@@ -276,7 +268,7 @@ def train_stage(job: Job, context: StageContext, *, is_first: bool, place: str =
     complete = job.config is None or (context.resume and folder.is_complete)
     if is_first:
         doing = "complete already, kept" if complete else f"{stage.description} → {folder.path}"
-        stderr.print(f"{stage.name}{place}: {doing}")
+        console.stderr.print(f"{stage.name}{place}: {doing}")
     if not complete and (stage.shared or is_first):
         stage.train(context, job.config)
 

@@ -6,23 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from motionkit.cli.console import (
-    AsJson,
-    Clips,
-    Overwrite,
-    SkeletonMaps,
-    StorePath,
-    Up,
-    Where,
-    named_store,
-    parse_rate,
-    print_failures,
-    print_json,
-    progress,
-    read_options,
-    stderr,
-    stdout,
-)
+from motionkit.cli import console
 from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import default_path, require_new
 from motionkit.core.progress import task
@@ -32,9 +16,9 @@ FILMS = (".mp4", ".gif", ".png", ".rrd")
 
 
 def view(
-    clips: Clips = None,
-    store: StorePath = None,
-    where: Where = None,
+    clips: console.Clips = None,
+    store: console.StorePath = None,
+    where: console.Where = None,
     limit: Annotated[
         int,
         typer.Option(min=1, max=MOST_MOTIONS, help="Maximum number of motions in the page; of a store, unlike ones."),
@@ -53,12 +37,12 @@ def view(
         float | None,
         typer.Option(help="Length of one file unit in metres: 0.01 for centimetres.", show_default=False),
     ] = None,
-    up: Up = None,
+    up: console.Up = None,
     film_format: Annotated[
         Literal["mp4", "gif", "png", "rrd"] | None,
         typer.Option("--format", help="A film, a strip of poses or a recording instead of a page.", show_default=False),
     ] = None,
-    skeleton_map: SkeletonMaps = None,
+    skeleton_map: console.SkeletonMaps = None,
     page_file: Annotated[
         Path | None,
         typer.Option(
@@ -70,9 +54,9 @@ def view(
         float | None,
         typer.Option(help="Playback speed of an mp4 or a gif: 0.25 is four times slower.", show_default="1"),
     ] = None,
-    overwrite: Overwrite = False,
+    overwrite: console.Overwrite = False,
     open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
-    as_json: AsJson = False,
+    as_json: console.AsJson = False,
 ) -> None:
     """Show motions in one page with moving skeletons, each at its native framerate, on one clock in seconds.
 
@@ -96,25 +80,27 @@ def view(
         raise UsageError(f"--out {out} is no {film[1:]} file by its name: call it {out.with_suffix(film)}")
     if speed is not None and not (film in (".mp4", ".gif") and 0 < speed < float("inf")):
         raise UsageError("--speed is a positive number and goes with --format mp4 or gif; a page has its own speed")
-    options = read_options(parse_rate(fps), skeleton_map, unit_metres=unit_metres, up=up)
+    options = console.read_options(console.parse_rate(fps), skeleton_map, unit_metres=unit_metres, up=up)
     if not clips and where is None:
         raise UsageError("name motions to look at: files, folders, a store, its ids, or --where")
     sources, problems = find_motions(clips or (), options, store or default_path("store"), where)
     if len(sources) > limit:
         which = "unlike ones" if sources[0].kind else "the first"
-        stderr.print(f"motionkit: {limit} of {counted(len(sources), 'motion')} are shown, {which}: --limit shows more")
+        console.stderr.print(
+            f"motionkit: {limit} of {counted(len(sources), 'motion')} are shown, {which}: --limit shows more"
+        )
         sources = spread(sources, limit)
     page = page_path(out, sources, film or PAGE_SUFFIX) if sources else Path()
     if sources:
         require_new(page, overwrite=overwrite, instead="--out writes elsewhere")
-    with progress() as show, task(show, "read", len(sources)) as work:
+    with console.progress() as show, task(show, "read", len(sources)) as work:
         panels, failed = read_panels(sources, interval, work.advance)
     failures = [*((str(problem.path), str(problem)) for problem in problems), *failed]
-    print_failures(failures)
+    console.print_failures(failures)
     if panels and film:
         from motionkit.viz.film import write_film
 
-        with progress() as show:
+        with console.progress() as show:
             write_film(page, panels, Fraction(speed or 1.0).limit_denominator(1000), show)
     elif panels:
         write_view(page, panels, interval)
@@ -133,9 +119,9 @@ def view(
         ]
         written = {"page": str(page), "bytes": page.stat().st_size} if panels else {"page": None, "bytes": 0}
         unshown = [{"clip": name, "message": message} for name, message in failures]
-        print_json({**written, "motions": motions, "failed": unshown})
+        console.print_json({**written, "motions": motions, "failed": unshown})
     elif panels:
-        stdout.print(str(page))
+        console.stdout.print(str(page))
     if panels and open_page:
         _open(page)
     if failures:
@@ -157,19 +143,19 @@ def _write_cards(
 
     if len(names) > 1:
         raise UsageError("--page shows one store: name it alone, and choose with --where")
-    path = named_store(Path(names[0]) if names else None, store) or default_path("store")
+    path = console.named_store(Path(names[0]) if names else None, store) or default_path("store")
     opened = Store.open(path)
     indices = opened.select_some(where)
     require_new(page, overwrite=overwrite, instead="another file keeps both")
-    with progress() as show:
+    with console.progress() as show:
         failures = write_corpus_page(page, opened, indices, show)
-    print_failures(failures)
+    console.print_failures(failures)
     num_bytes = page.stat().st_size
     if as_json:
         unshown = [{"clip": name, "message": message} for name, message in failures]
-        print_json({"page": str(page), "bytes": num_bytes, "sequences": len(indices), "failed": unshown})
+        console.print_json({"page": str(page), "bytes": num_bytes, "sequences": len(indices), "failed": unshown})
     else:
-        stdout.print(f"{page}: {counted(len(indices) - len(failures), 'sequence')}, {num_bytes / 1e6:.1f} MB")
+        console.stdout.print(f"{page}: {counted(len(indices) - len(failures), 'sequence')}, {num_bytes / 1e6:.1f} MB")
     if open_page:
         _open(page)
     if failures:
@@ -180,4 +166,4 @@ def _open(page: Path) -> None:
     import webbrowser
 
     if not webbrowser.open(page.absolute().as_uri()):
-        stderr.print(f"motionkit: no browser found here: open {page} in one")
+        console.stderr.print(f"motionkit: no browser found here: open {page} in one")
