@@ -24,6 +24,6 @@ COMMANDS = {
 STAGES = {"detail": "motionkit.training.detail:STAGE"}
 TEXT_ENCODERS = {
     "minilm": "motionkit.training.text:load_minilm",
-    "clip": "motionkit.training.text:load_clip",
+    "clip": "motionkit.training.text:load_transformers",
     "transformers": "motionkit.training.text:load_transformers",
 }

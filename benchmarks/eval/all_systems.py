@@ -65,7 +65,7 @@ def rates(system: str, factor: float) -> tuple[str, ...]:
     """The settings of all learning rates of a system's `nano`, times a factor."""
     found = []
     for stage, _ in stages_of(system):
-        for key, value in flatten(plugins.load("STAGES", stage).recipe("nano")).items():
+        for key, value in flatten(plugins.load("STAGES", stage).configured("nano")).items():
             is_own = system != "nerm" or key.startswith(f"{stage}.")
             if key.endswith("learning_rate") and is_own and stage != "codebook":
                 found.append(f"{stage}:{key}={factor * value:.4g}")
@@ -74,7 +74,7 @@ def rates(system: str, factor: float) -> tuple[str, ...]:
 
 def halved_batches(system: str) -> tuple[str, ...]:
     """The settings of half of each batch of a system's `nano`."""
-    schedules = {stage: plugins.load("STAGES", stage).recipe("nano").schedule for stage, _ in stages_of(system)}
+    schedules = {stage: plugins.load("STAGES", stage).configured("nano").schedule for stage, _ in stages_of(system)}
     return tuple(f"{stage}:schedule.batch_size={schedule.batch_size // 2}" for stage, schedule in schedules.items())
 
 

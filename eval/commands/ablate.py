@@ -66,7 +66,7 @@ def ablate(
         if unknown := [name for name in only.split(",") if name not in known]:
             raise UsageError(f"--only {unknown[0]}: no such variant in these tables; there are: {', '.join(known)}")
         stages = {known[name]: stages[known[name]] for name in only.split(",")}
-    base = ablations.stages[first].recipe(recipe)
+    base = ablations.stages[first].configured(recipe)
     configs = [variant.configure(base, overrides or []) for variant in stages]
     if where:
         configs = [narrowed((ablations.stages[first],), [config], where)[0] for config in configs]

@@ -56,7 +56,7 @@ def demo(
     places |= {"table": folder / "results" / "nerm-table2.md", "picture": folder / "demo.png"}
     size, table = (SMALLEST, SMALLEST_TABLE) if smallest else (FULL, FULL_TABLE)
     stages = [choose_stages(name)[0] for name in ("codebook", "field", "denoiser")]
-    settings = flatten(stages[-1].recipe(RECIPE))
+    settings = flatten(stages[-1].configured(RECIPE))
     load_text_encoder(str(settings["denoiser.conditions.text_encoder"]))  # fail now, not after minutes of training
     _claim(folder, places)
     seconds: dict[str, float] = {}

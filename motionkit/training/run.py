@@ -463,17 +463,16 @@ class Stage(Generic[ConfigT]):
         inputs = context.inputs(config, store_fingerprint, self.builds_on(config))
         check_resumable(context.run.stage(self.name), inputs)
 
-    def configured(self, recipe: str, overrides: Sequence[str]) -> ConfigT:
-        """The configuration of a recipe, with those overrides (`a.b=c`) whose setting it has; raises `UsageError`."""
-        config = self.recipe(recipe)
+    def configured(self, recipe: str, overrides: Sequence[str] = ()) -> ConfigT:
+        """The configuration of a recipe, with those overrides (`a.b=c`) whose setting it has.
+
+        Raises `UsageError`, for an unknown recipe with the known ones.
+        """
+        if recipe not in self.recipes:
+            raise UsageError(f"stage {self.name!r} has no recipe {recipe!r}; it has: {', '.join(self.recipes)}")
+        config = self.recipes[recipe]()
         known = flatten(config)
         return apply_overrides(config, [each for each in overrides if parse_override(each)[0] in known])
-
-    def recipe(self, name: str) -> ConfigT:
-        """The configuration of a recipe; raises `UsageError` that lists the known ones."""
-        if name not in self.recipes:
-            raise UsageError(f"stage {self.name!r} has no recipe {name!r}; it has: {', '.join(self.recipes)}")
-        return self.recipes[name]()
 
 
 @dataclass(frozen=True)

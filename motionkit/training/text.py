@@ -328,18 +328,13 @@ NEEDED = {
 }
 
 
-def load_clip(name: str) -> TransformersEncoder:
-    """CLIP ViT-L/14 from the hub or its cache."""
-    return load_transformers(name, CLIP_HUB_NAME)
-
-
-def load_transformers(name: str, location: str = "") -> TransformersEncoder:
-    """Load from a local folder, or from a hub; `location` is the name itself by default."""
+def load_transformers(name: str) -> TransformersEncoder:
+    """Load from a local folder, or from a hub; `clip` is CLIP ViT-L/14."""
     if find_spec("transformers") is None:
         raise MissingExtraError("transformers", "text")
     from transformers import AutoConfig
 
-    location = location or name
+    location = CLIP_HUB_NAME if name == "clip" else name
     folder = Path(location)
     is_path = folder.is_absolute() or location.startswith((".", "~")) or location.count("/") > 1 or folder.exists()
     if is_path and not folder.is_dir():

@@ -202,4 +202,4 @@ def test_a_trained_inbetweener_fills_a_gap_at_any_framerate(run: Path, name: str
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_weights_of_curves_are_pa_hires_alone(name: str) -> None:
     with pytest.raises(UsageError, match=r"leave training\.answer\.blended empty"):
-        apply_overrides(SYSTEMS[name].stage.recipe("nano"), ["training.answer.blended=linear"])
+        apply_overrides(SYSTEMS[name].stage.configured("nano"), ["training.answer.blended=linear"])

@@ -115,7 +115,7 @@ def test_stages_are_chosen_by_name_or_all_of_the_model(monkeypatch: pytest.Monke
     with pytest.raises(UsageError, match=r"'c'.*: a, b, extra, all"):
         choose_stages("c")
     with pytest.raises(UsageError, match="'a' has no recipe 'huge'"):
-        stage("a").recipe("huge")
+        stage("a").configured("huge")
 
 
 def test_the_commit_is_that_of_this_code_and_of_no_checkout_around_it(tmp_path: Path) -> None:
