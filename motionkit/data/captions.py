@@ -22,10 +22,7 @@ def overlapping_captions(
 
     `captions` are rows of the store: text, start_seconds, end_seconds (None: to the end of the sequence). A caption of
     HumanML3D may describe a segment only, which a window that overlaps it by a tenth of a second doesn't show.
-    Raises `ValueError` for an empty window.
     """
-    if window_end <= window_start:
-        raise ValueError(f"the window [{window_start}, {window_end}) s is empty")
     result = []
     for caption in captions:
         start, end = float(caption["start_seconds"]), caption["end_seconds"]

@@ -54,9 +54,6 @@ class RotationSequences:
         """Seconds from one to the next of every `stride`-th native frame."""
         return np.asarray(stride / (self.keep_every[sequence] * float(self.fps)))
 
-    def __repr__(self) -> str:
-        return f"RotationSequences({len(self.start_row)}, {int(self.num_frames.sum())} frames, {self.skipped} skipped)"
-
 
 def open_rotation_sequences(
     store: Store, fps: Fraction, *, where: str | None = None, layout: Literal["smpl22", "native"] = "smpl22"

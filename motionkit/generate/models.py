@@ -133,15 +133,13 @@ def load_model(name: str, run: Path) -> GenerativeModel:
 
 
 def model_of(run: Path) -> str:
-    """The name of the installed model in a run; if a single one is installed, its name whatever the run holds.
+    """The name of the installed model in a run.
 
     Raises `UsageError` if the run holds none of several models, or more than one.
     """
     installed = installed_models()
     if not installed:
         raise UsageError("no model is installed")
-    if len(installed) == 1:
-        return next(iter(installed))
     trained = [name for name, loader in installed.items() if loader.begun_in(run)]
     if len(trained) > 1:
         raise UsageError(

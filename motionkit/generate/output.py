@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from motionkit.core.errors import UsageError, shown
-from motionkit.core.files import LOCK, is_temporary, locked_folder, read_json, whole_file, write_json, write_whole
+from motionkit.core.files import LOCK, locked_folder, read_json, whole_file, write_json, write_whole
 from motionkit.core.motion import Motion
 from motionkit.core.progress import warn
 from motionkit.core.shapes import Float64
@@ -256,8 +256,6 @@ def locked_output(path: Path, manifest: Mapping[str, Any], *, resume: bool, over
         raise UsageError(f"{path} is a file: name a folder with --out")
     busy = f"another process is generating into {path}: wait until it has ended, or {ANOTHER}"
     with locked_folder(path, busy=busy):
-        for entry in filter(is_temporary, path.rglob("*")):  # of a killed call
-            entry.unlink()
         if (path / MANIFEST).is_file():
             former = _read_manifest(path)
             if resume:
