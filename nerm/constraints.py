@@ -146,9 +146,8 @@ def _bones(joints: Float32[Tensor, "instants joints 3"]) -> Float32[Tensor, "ins
 
 def _facing(joints: Float[Tensor, "poses joints 3"]) -> Float[Tensor, "poses 2"]:
     """Facing directions as unit vectors (x, z), as in `motionkit.features.field.heading`."""
-    names = SMPL22_LAYOUT.facing
-    across = joints[:, names.right_hip] - joints[:, names.left_hip]
-    across = across + joints[:, names.right_shoulder] - joints[:, names.left_shoulder]
+    hips, shoulders = (joints[:, right] - joints[:, left] for right, left in SMPL22_LAYOUT.lateral_joints)
+    across = hips + shoulders
     return torch.nn.functional.normalize(torch.stack((across[:, 2], -across[:, 0]), dim=-1), dim=-1)
 
 

@@ -544,7 +544,7 @@ class _Reader:
         files = [path for path in (self.manifest.mean, self.manifest.std) if path is not None]
         try:
             numbers = [npy.read_npy(path, source_file.read_bytes(path), (width,)).astype(np.float64) for path in files]
-            return Statistics("humanml3d", *numbers) if numbers else None
+            return Statistics(*numbers) if numbers else None
         except (FormatError, ValueError) as problem:
             raise SampleFolderError(f"{what}: {problem}") from None
 

@@ -131,7 +131,7 @@ def read_statistics(folder: Path, kind: GuoKind) -> Statistics:
         raise GuoError(f"{folder}: there is no mean.npy and std.npy; they come with the evaluator (docs/evaluators.md)")
     try:
         mean, std = (npy.parse_npy(path, source_file.read_bytes(path), (kind.num_statistics,)) for path in found)
-        statistics = Statistics("humanml3d", mean.astype(np.float64), std.astype(np.float64))
+        statistics = Statistics(mean.astype(np.float64), std.astype(np.float64))
     except (FormatError, ValueError) as error:
         raise GuoError(f"{folder}: {error}") from None
     signature = [("the mean root height", statistics.mean[kind.layout.vector.root_height], kind.root_height)]

@@ -19,15 +19,13 @@ from motionkit.fields.motion_field import Poses, Times
 
 Positions = Float[np.ndarray, "windows poses joints 3"]
 
-CONVENTION = "field"
-
 
 def heading(joint_positions: Float[np.ndarray, "*poses joints 3"]) -> Float[np.ndarray, "*poses"]:
     """Yaw in radians, in (−π, π], of the direction each body of 22 or 21 joints faces.
 
     0 is Z+, positive turns towards X+. Raises `UsageError` for another number of joints.
     """
-    direction = facing_direction(joint_positions, layout_of(joint_positions.shape[-2]).facing)
+    direction = facing_direction(joint_positions, layout_of(joint_positions.shape[-2]))
     return np.asarray(np.arctan2(direction[..., 0], direction[..., 1]))
 
 
@@ -53,9 +51,7 @@ def encode(joint_positions: Positions, yaw: Yaw, origin: Origin) -> Float32[np.n
 
 
 def decode(vectors: Float[np.ndarray, "*poses numbers"]) -> Float32[np.ndarray, "*poses joints 3"]:
-    """`field` vectors → positions in the window's frame, metres; raises `ValueError` unless 3 divides their length."""
-    if vectors.shape[-1] % 3:
-        raise ValueError(f"a field vector has 3 numbers per joint, so not {vectors.shape[-1]}")
+    """`field` vectors → positions in the window's frame, metres."""
     local = vectors.astype(np.float32).reshape(*vectors.shape[:-1], -1, 3)
     local[..., 1:, :] += local[..., :1, :]
     return local
@@ -65,10 +61,7 @@ def decode(vectors: Float[np.ndarray, "*poses numbers"]) -> Float32[np.ndarray, 
 class FieldVectors:
     """`field` as a convention to learn (`motionkit.features.convention.PoseVectors`); values are world positions."""
 
-    @property
-    def skeleton(self) -> Skeleton:
-        """The 22-joint layout."""
-        return SMPL22
+    skeleton: Skeleton = SMPL22
 
     @property
     def num_features(self) -> int:

@@ -38,7 +38,7 @@ def vectors(joint_positions: Float[np.ndarray, "frames joints 3"], layout: str) 
     """
     body = layout_of_poses(joint_positions, layout)
     positions = joint_positions.astype(np.float32, copy=False)
-    hips, shoulders = across(positions, body.facing)
+    hips, shoulders = across(positions, body)
     half_angle = half_angles_to_z(shoulders - hips, SMOOTHING_FRAMES)  # the published code swaps the hips
     half_angle[0] = 0.0
     angle, poses, change = 2 * half_angle, positions[:-1], np.diff(positions, axis=0)
@@ -116,7 +116,7 @@ def facing_forward(
 ) -> Float[np.ndarray, "frames joints 3"]:
     """The clip rotated about the Y axis so that frame 0 faces Z+."""
     # A body without a heading, facing straight up or down, is not rotated.
-    x, z = facing_direction(joint_positions[:1].astype(np.float64), pose_layout(layout).facing).T
+    x, z = facing_direction(joint_positions[:1].astype(np.float64), pose_layout(layout)).T
     return kinematics.rotate_about_y(joint_positions, -np.arctan2(x, z))
 
 

@@ -16,28 +16,19 @@ if TYPE_CHECKING:
     from motionkit.io.humanml3d import VectorLayout
 
 
-@dataclass(frozen=True)
-class FacingJoints:
-    """The four joints (hips and shoulders) whose lateral axes give the facing direction."""
-
-    right_hip: int
-    left_hip: int
-    right_shoulder: int
-    left_shoulder: int
-
-
 @dataclass(frozen=True, eq=False)
 class PoseLayout:
     """A joint layout for which pose vectors are defined.
 
-    `chains` are the kinematic chains of the published inverse kinematics, each starting at a joint of an earlier one or
-    at the root; `bone_directions` [J, 3] are the rest directions of the bones that end in each joint; `leg_joints` are
-    the two bones of one leg whose lengths give the body's scale; `contact_threshold` is the squared displacement per
-    frame, in the published files' unit, below which a foot is in contact.
+    `lateral_joints` are the right and left hip, and the right and left shoulder, whose lateral axes give the facing
+    direction; `chains` are the kinematic chains of the published inverse kinematics, each starting at a joint of an
+    earlier one or at the root; `bone_directions` [J, 3] are the rest directions of the bones that end in each joint;
+    `leg_joints` are the two bones of one leg whose lengths give the body's scale; `contact_threshold` is the squared
+    displacement per frame, in the published files' unit, below which a foot is in contact.
     """
 
     skeleton: Skeleton
-    facing: FacingJoints
+    lateral_joints: tuple[tuple[int, int], tuple[int, int]]
     chains: tuple[tuple[int, ...], ...]
     bone_directions: tuple[tuple[int, int, int], ...]
     leg_joints: tuple[int, int]
@@ -80,7 +71,7 @@ _MX, _MY, _NONE = (-1, 0, 0), (0, -1, 0), (0, 0, 0)
 # Chains, directions, facing joints and thresholds: HumanML3D, paramUtil.py and motion_representation.ipynb.
 SMPL22_LAYOUT = PoseLayout(
     skeleton=SMPL22,
-    facing=FacingJoints(right_hip=2, left_hip=1, right_shoulder=17, left_shoulder=16),
+    lateral_joints=((2, 1), (17, 16)),
     chains=((0, 2, 5, 8, 11), (0, 1, 4, 7, 10), (0, 3, 6, 9, 12, 15), (9, 14, 17, 19, 21), (9, 13, 16, 18, 20)),
     bone_directions=(_NONE, _X, _MX, _Y, _MY, _MY, _Y, _MY, _MY, _Y, _Z, _Z, _Y, _X, _MX, _Z, *(_MY,) * 6),
     leg_joints=(5, 8),
@@ -89,7 +80,7 @@ SMPL22_LAYOUT = PoseLayout(
 
 KIT21_LAYOUT = PoseLayout(
     skeleton=KIT21,
-    facing=FacingJoints(right_hip=11, left_hip=16, right_shoulder=5, left_shoulder=8),
+    lateral_joints=((11, 16), (5, 8)),
     chains=((0, 11, 12, 13, 14, 15), (0, 16, 17, 18, 19, 20), (0, 1, 2, 3, 4), (3, 5, 6, 7), (3, 8, 9, 10)),
     bone_directions=(
         *(_NONE, _Y, _Y, _Y, _Y, _X, _MY, _MY, _MX, _MY, _MY),
@@ -128,18 +119,17 @@ def layout_of(num_joints: int) -> PoseLayout:
 
 
 def across(
-    joint_positions: Float[np.ndarray, "*poses joints 3"], facing: FacingJoints
-) -> tuple[Float[np.ndarray, "*poses 3"], Float[np.ndarray, "*poses 3"]]:
+    joint_positions: Float[np.ndarray, "*poses joints 3"], body: PoseLayout
+) -> list[Float[np.ndarray, "*poses 3"]]:
     """The vectors from the left to the right hip, and from the left to the right shoulder."""
-    hips = joint_positions[..., facing.right_hip, :] - joint_positions[..., facing.left_hip, :]
-    return hips, joint_positions[..., facing.right_shoulder, :] - joint_positions[..., facing.left_shoulder, :]
+    return [joint_positions[..., right, :] - joint_positions[..., left, :] for right, left in body.lateral_joints]
 
 
 def facing_direction(
-    joint_positions: Float[np.ndarray, "*poses joints 3"], facing: FacingJoints
+    joint_positions: Float[np.ndarray, "*poses joints 3"], body: PoseLayout
 ) -> Float[np.ndarray, "*poses 2"]:
     """Horizontal facing direction (x, z) of each pose, not normalised: Y × ((R − L hip) + (R − L shoulder))."""
-    hips, shoulders = across(joint_positions, facing)
+    hips, shoulders = across(joint_positions, body)
     return np.stack(((hips + shoulders)[..., 2], -(hips + shoulders)[..., 0]), axis=-1)
 
 

@@ -32,7 +32,6 @@ from motionkit.features.layout import (
 )
 from motionkit.fields.motion_field import Poses, Times
 
-CONVENTION = "native"
 SMOOTHING_SECONDS = 1.0
 # √0.002 m per frame at 20 fps, the published threshold, on a body with the legs of the published skeleton.
 CONTACT_SPEED = 0.894
@@ -49,7 +48,7 @@ def vectors(
     """
     body = layout_of_poses(joint_positions, layout)
     positions = joint_positions.astype(np.float64)
-    hips, shoulders = across(positions, body.facing)
+    hips, shoulders = across(positions, body)
     angle = np.unwrap(2 * half_angles_to_z(hips + shoulders, SMOOTHING_SECONDS * float(fps)))
     velocities = _derivative(positions.reshape(len(positions), -1), fps).reshape(positions.shape)
     relative = relative_to_root(positions, angle)
@@ -137,10 +136,7 @@ class NativeVectors:
     Values are the vectors themselves: they mean the same in every window's frame.
     """
 
-    @property
-    def skeleton(self) -> Skeleton:
-        """The 22-joint layout."""
-        return SMPL22
+    skeleton: Skeleton = SMPL22
 
     @property
     def num_features(self) -> int:

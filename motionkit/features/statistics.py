@@ -1,4 +1,4 @@
-"""Mean and standard deviation of pose vectors, with their convention."""
+"""Mean and standard deviation of pose vectors."""
 
 from dataclasses import dataclass
 
@@ -9,9 +9,8 @@ from motionkit.core.shapes import Float, Float32, Float64
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Mean and std for standardising pose vectors; `convention` is `humanml3d`, `native` or `field`."""
+    """Mean and std by which pose vectors are standardised; raises `ValueError` where these cannot be."""
 
-    convention: str
     mean: Float64[np.ndarray, "numbers"]
     std: Float64[np.ndarray, "numbers"]
 
@@ -19,12 +18,8 @@ class Statistics:
         if self.mean.shape != self.std.shape:
             raise ValueError(f"mean has {self.mean.size} numbers, std {self.std.size}")
         if not (np.isfinite(self.mean).all() and np.isfinite(self.std).all() and (self.std > 0).all()):
-            raise ValueError(f"{self.convention} statistics must be finite, and every std above 0")
-
-    def standardise(self, rows: Float[np.ndarray, "*rows numbers"]) -> Float32[np.ndarray, "*rows numbers"]:
-        """(rows − mean) / std."""
-        return np.asarray((rows - self.mean) / self.std, dtype=np.float32)
+            raise ValueError("statistics must be finite, and every std above 0")
 
     def restore(self, rows: Float[np.ndarray, "*rows numbers"]) -> Float32[np.ndarray, "*rows numbers"]:
-        """The inverse of `standardise`."""
+        """Standardised rows in their own units: rows · std + mean."""
         return np.asarray(rows * self.std + self.mean, dtype=np.float32)

@@ -156,7 +156,8 @@ class StoreWriter:
             self._next_part = self._previous.next_part
             self._rows: list[Row] = []
             self._table: pq.ParquetWriter | None = None
-            self._next_sequence_index = base.next_sequence_index
+            # A number that no sequence of the store has or had, and no greater one either.
+            self.next_sequence_index = base.next_sequence_index
             if base.files:
                 try:
                     columns = read_table(self.path, base, SEQUENCES_FILE, ("sequence_id", "source_sha256")).columns
@@ -174,11 +175,6 @@ class StoreWriter:
         """Number of sequences that the store will hold at the commit."""
         return len(self._source_of)
 
-    @property
-    def next_sequence_index(self) -> int:
-        """A number that no sequence of the store has or had, and no greater one either."""
-        return self._next_sequence_index
-
     def holds(self, sequence_id: str) -> bool:
         """Whether the store will hold a sequence with this id."""
         return sequence_id in self._source_of
@@ -194,7 +190,7 @@ class StoreWriter:
     def add_encoded(self, motion: EncodedMotion) -> int:
         """Adds an encoded motion; otherwise as `add`."""
         self._require_new(motion.row["sequence_id"])
-        sequence_index = self._next_sequence_index
+        sequence_index = self.next_sequence_index
         if self._part is None:
             self._part = PartWriter(pending(self.path, part_name(self._next_part)))
         part_row = self._part.add(sequence_index, motion)
@@ -225,7 +221,7 @@ class StoreWriter:
         fingerprint = self._bodies.setdefault(same_body(skeleton), skeleton.fingerprint)
         self._skeletons.setdefault(fingerprint, skeleton)
         self._source_of[row["sequence_id"]] = row["source_sha256"]
-        self._next_sequence_index = row["sequence_index"] + 1
+        self.next_sequence_index = row["sequence_index"] + 1
         self._rows.append({**row, "skeleton": fingerprint})
         if len(self._rows) == SEQUENCES_PER_ROW_GROUP:
             self._write_rows()
@@ -274,7 +270,7 @@ class StoreWriter:
             }
             manifest = Manifest(
                 files={**self._base.files, **self._parts, **tables},
-                next_sequence_index=self._next_sequence_index,
+                next_sequence_index=self.next_sequence_index,
                 next_part=self._next_part,
             )
             publish(self.path, manifest)

@@ -37,12 +37,10 @@ def shortest(u: np.ndarray, v: np.ndarray) -> Rotation:
 def plain_vectors(joints: np.ndarray, body: PoseLayout) -> np.ndarray:
     """The published pose vector written out plainly, one frame and one bone at a time, with scipy's rotations."""
     joints = joints.astype(np.float64)
-    facing = body.facing
+    (right_hip, left_hip), (right_shoulder, left_shoulder) = body.lateral_joints
     forward = []
     for pose in joints:
-        across = (pose[facing.left_hip] - pose[facing.right_hip]) + (
-            pose[facing.right_shoulder] - pose[facing.left_shoulder]
-        )
+        across = (pose[left_hip] - pose[right_hip]) + (pose[right_shoulder] - pose[left_shoulder])
         forward.append(np.cross([0, 1, 0], across / np.linalg.norm(across)))
     smooth = gaussian_filter1d(np.array(forward), 20, axis=0, mode="nearest")
     heading = [shortest(direction / np.linalg.norm(direction), np.array([0.0, 0, 1])) for direction in smooth]
