@@ -66,6 +66,7 @@ LEAST_RANGE_MM = 0.05
 SUDDEN_JOINTS = (*FOOT_JOINTS, 0, 20, 21)
 PARENTS = list(SMPL22.parents[1:])
 Weights = Float64[np.ndarray, "channels timed"]
+Figures = Float64[np.ndarray, "draws figures"]
 
 
 def bands_at(fps: Fraction) -> tuple[Band, ...]:
@@ -89,7 +90,7 @@ class MotionFigures:
     log_power: Float64[np.ndarray, "motions bands"]
     bones_mm: Float64[np.ndarray, "motions"]
 
-    def averages(self, weights: Float64[np.ndarray, "draws motions"]) -> Float64[np.ndarray, "draws figures"]:
+    def averages(self, weights: Float64[np.ndarray, "draws motions"]) -> Figures:
         """Slope, dB by band and median rigidity for every row of weights of the motions."""
         products, squares = (weights @ self.timing).T
         energy = DECIBELS * (weights @ self.log_power) / (weights @ self.num_frames)[:, None]
@@ -315,9 +316,7 @@ class RealDetail:
         return DetailProfile(samples.fps, timing, by_band, rigidity)
 
 
-def _relative(
-    figures: Float64[np.ndarray, "draws figures"], real: Float64[np.ndarray, "draws figures"]
-) -> Float64[np.ndarray, "draws figures"]:
+def _relative(figures: Figures, real: Figures) -> Figures:
     """Timing as a share of the real one (nan where that is 0), energy as a difference, rigidity as it is."""
     share = np.divide(figures[:, :1], real[:, :1], out=np.full((len(figures), 1), np.nan), where=real[:, :1] != 0)
     return np.concatenate((share, figures[:, 1:-1] - real[:, 1:-1], figures[:, -1:]), axis=1)

@@ -47,7 +47,7 @@ def main() -> None:
     reference = fit_gaussian(described(real.sequences, fps) / spread)
     for name, motions in sets.items():
         distance = frechet_distance(reference, fit_gaussian(described(motions, fps) / spread))
-        profile = detail.profile(real.with_positions(name, real.fps, motions)).figures
+        profile = detail.profile(real.with_positions(motions, name=name)).figures
         marked = (f"{key} {each.value:.2f}{'' if each.is_real else '*'}" for key, each in profile.items())
         print(f"{name:42} {distance:7.2f}   {'  '.join(marked)}")
 

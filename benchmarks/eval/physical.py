@@ -51,7 +51,7 @@ def changed(samples: SampleSet, name: str, change: Change) -> SampleSet:
         change(motion.astype(np.float64), np.random.default_rng((0, index))).astype(np.float32)
         for index, motion in enumerate(samples.sequences)
     ]
-    return samples.with_positions(name, samples.fps, made)
+    return samples.with_positions(made, name=name)
 
 
 def slide(motion: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -92,7 +92,7 @@ def noise(motion: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def slower(samples: SampleSet) -> SampleSet:
     """Every motion at half its speed."""
     made = upsampled(samples, 2 * samples.fps, samples.name)
-    return samples.with_positions("half speed", samples.fps, list(made.sequences))
+    return samples.with_positions(list(made.sequences), name="half speed")
 
 
 def at_the_fast(real: RealMotion, fps: Fraction) -> SampleSet:

@@ -40,7 +40,7 @@ def main() -> None:
                 for level in (level for level in LEVELS[name] if level < fps):
                     rng = np.random.default_rng(0)
                     moved = [family.corrupt(motion, float(fps), level, rng) for motion in real.sequences]
-                    timing = detail.profile(real.with_positions(name, fps, moved)).timing
+                    timing = detail.profile(real.with_positions(moved, name=name)).timing
                     cells.append(f"{level:g} {family.unit}: {timing.value:.2f}{'' if timing.is_real else '*'}")
                 print(f"{name:17} {', '.join(cells)}")
 

@@ -74,7 +74,7 @@ def smooth_rows(takes: list[Positions], reference: SampleSet, detail: Detail) ->
         if added is not None:
             own = (detailed(field, added, seed=0, number=n) for n, field in enumerate(own))
         made = [to_motion(at_fps(field, reference.fps), reference.fps).joint_positions for field in own]
-        return reference.with_positions("", reference.fps, made)
+        return reference.with_positions(made)
 
     return {
         "low-passed at 10 Hz": fields(slow, None),

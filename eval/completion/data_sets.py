@@ -65,9 +65,7 @@ def data_sets_of(store: Store, fps: Sequence[Fraction] | None = None) -> list[Da
     return list(dict.fromkeys(replace(each, fps=rate) for each in data_sets for rate in fps))
 
 
-def local_rotations(
-    vectors: Float32[np.ndarray, "*frames numbers"],
-) -> Float32[np.ndarray, "*frames joints 4"]:
+def local_rotations(vectors: Float32[np.ndarray, "*frames numbers"]) -> Float32[np.ndarray, "*frames joints 4"]:
     """Unit quaternions of rotation rows (`features.rotations`)."""
     return matrix_to_quaternion(closest_rotations(vectors[..., 3:])).astype(np.float32)
 

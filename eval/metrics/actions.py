@@ -13,9 +13,13 @@ CLASS_PAIRS = 20
 """Pairs of every class in the action protocols."""
 PAIRS = 300
 """D_a of the NeRM paper; the action protocols draw 200."""
+Features = Float[np.ndarray, "samples features"]
+Repeated = Float[np.ndarray, "texts generations features"]
+Scores = Float[np.ndarray, "samples classes"]
+Labels = Int[np.ndarray, "samples"]
 
 
-def accuracy(scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarray, "samples"]) -> float:
+def accuracy(scores: Scores, labels: Labels) -> float:
     """Share of samples whose own class has the highest score; classes that tie for it share the hit.
 
     Equal scores for all classes thus have chance accuracy, in any order of classes. Raises `ValueError` for no samples,
@@ -24,9 +28,7 @@ def accuracy(scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarra
     return float(shares_of_hits(scores, labels).mean())
 
 
-def shares_of_hits(
-    scores: Float[np.ndarray, "samples classes"], labels: Int[np.ndarray, "samples"]
-) -> Float64[np.ndarray, "samples"]:
+def shares_of_hits(scores: Scores, labels: Labels) -> Float64[np.ndarray, "samples"]:
     """1 if a sample's own class has the highest score, a fraction for ties; raises as `accuracy`."""
     checked_features(scores, "scores", minimum=1)
     if labels.min() < 0 or labels.max() >= scores.shape[1]:
@@ -35,13 +37,7 @@ def shares_of_hits(
     return np.asarray(best[np.arange(len(labels)), labels] / best.sum(axis=1))
 
 
-def diversity(
-    features: Float[np.ndarray, "samples features"],
-    rng: np.random.Generator,
-    num_pairs: int = PAIRS,
-    *,
-    replace: bool = False,
-) -> float:
+def diversity(features: Features, rng: np.random.Generator, num_pairs: int = PAIRS, *, replace: bool = False) -> float:
     """Mean distance of random pairs: two random subsets of `num_pairs` samples, each without repetition (NeRM Eq. 7).
 
     Closer to the real set's is better; more is not. With fewer samples each subset is a permutation of all. With
@@ -54,9 +50,7 @@ def diversity(
     return float(np.linalg.norm(values[first] - values[second], axis=1).mean())
 
 
-def multimodality(
-    features: Float[np.ndarray, "texts generations features"], *, rng: np.random.Generator, num_pairs: int = NUM_PAIRS
-) -> float:
+def multimodality(features: Repeated, *, rng: np.random.Generator, num_pairs: int = NUM_PAIRS) -> float:
     """Mean distance of pairs of motions of the same text; pairs are drawn per text, and no motion is in two of them.
 
     NeRM Eq. 8: two distinct random subsets of `num_pairs` motions of every text. Raises `ValueError` if a text has
@@ -70,9 +64,7 @@ def multimodality(
     return float(np.linalg.norm(first - second, axis=-1).mean())
 
 
-def multimodality_shared_pairs(
-    features: Float[np.ndarray, "texts generations features"], *, rng: np.random.Generator, num_pairs: int = NUM_PAIRS
-) -> float:
+def multimodality_shared_pairs(features: Repeated, *, rng: np.random.Generator, num_pairs: int = NUM_PAIRS) -> float:
     """Mean distance of pairs of motions of one text, with the same index pairs for all texts, as the reference code.
 
     Each side is drawn without replacement, independently: a motion may be paired with itself (distance 0), which makes
@@ -84,9 +76,7 @@ def multimodality_shared_pairs(
     return float(np.linalg.norm(values[:, first] - values[:, second], axis=-1).mean())
 
 
-def _checked_texts(
-    features: Float[np.ndarray, "texts generations features"], least: int
-) -> Float64[np.ndarray, "texts generations features"]:
+def _checked_texts(features: Repeated, least: int) -> Float64[np.ndarray, "texts generations features"]:
     if features.shape[1] < least:
         raise ValueError(
             f"MultiModality needs at least {least} generations of each text, there are {features.shape[1]}"
@@ -96,12 +86,7 @@ def _checked_texts(
 
 
 def multimodality_by_class(
-    features: Float[np.ndarray, "samples features"],
-    labels: Int[np.ndarray, "labels"],
-    *,
-    rng: np.random.Generator,
-    num_pairs: int = CLASS_PAIRS,
-    replace: bool = False,
+    features: Features, labels: Labels, *, rng: np.random.Generator, num_pairs: int = CLASS_PAIRS, replace: bool = False
 ) -> float:
     """Mean distance of random pairs of two different motions of one class, with equally many pairs per class.
 

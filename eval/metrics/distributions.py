@@ -13,11 +13,14 @@ from eval.metrics.metric import Metric
 from motionkit.core.shapes import Float, Float64
 
 BLOCK_ROWS = 128
+Features = Float[np.ndarray, "samples features"]
+Real = Float[np.ndarray, "n features"]
+Generated = Float[np.ndarray, "m features"]
+Means = Float64[np.ndarray, "pairs features"]
+Matrices = Float64[np.ndarray, "pairs features features"]
 
 
-def checked_features(
-    features: Float[np.ndarray, "samples features"], name: str, minimum: int
-) -> Float64[np.ndarray, "samples features"]:
+def checked_features(features: Features, name: str, minimum: int) -> Float64[np.ndarray, "samples features"]:
     """Features as float64; raises `ValueError` for other shapes, fewer than `minimum` samples, NaN or infinity."""
     if features.ndim != 2:
         raise ValueError(f"{name}: expected an array [samples, features], its shape is {features.shape}")
@@ -52,7 +55,7 @@ def factors_of(
     return np.asarray(eigenvectors * np.sqrt(np.maximum(eigenvalues, 0.0))[..., None, :], dtype=np.float64)
 
 
-def fit_gaussian(features: Float[np.ndarray, "samples features"]) -> Gaussian:
+def fit_gaussian(features: Features) -> Gaussian:
     """Fit a Gaussian in float64. Raises `ValueError` for NaN, infinity or fewer than 2 samples."""
     values = checked_features(features, "features", minimum=2)
     mean = values.mean(axis=0)
@@ -77,10 +80,7 @@ def frechet_distance(a: Gaussian, b: Gaussian) -> float:
 
 
 def frechet_distances(
-    means: Float64[np.ndarray, "pairs features"],
-    factors: Float64[np.ndarray, "pairs features features"],
-    other_means: Float64[np.ndarray, "pairs features"],
-    other_covariances: Float64[np.ndarray, "pairs features features"],
+    means: Means, factors: Matrices, other_means: Means, other_covariances: Matrices
 ) -> Float64[np.ndarray, "pairs"]:
     """As `frechet_distance`, of many pairs of Gaussians at once, the first ones given by `factors_of` covariances.
 
@@ -92,18 +92,14 @@ def frechet_distances(
     return np.asarray(np.maximum(np.square(means - other_means).sum(axis=1) + spread, 0.0), dtype=np.float64)
 
 
-def fid(real: Float[np.ndarray, "n features"], generated: Float[np.ndarray, "m features"]) -> float:
+def fid(real: Real, generated: Generated) -> float:
     """Fréchet distance between the Gaussians of two feature sets; see `frechet_distance`."""
     # On a busy machine the BLAS threads wait for one another: ten times slower than a single one.
     with threadpool_limits(1, "blas"):
         return frechet_distance(fit_gaussian(real), fit_gaussian(generated))
 
 
-def fid_infinity(
-    real: Float[np.ndarray, "n features"],
-    generated: Float[np.ndarray, "m features"],
-    rng: np.random.Generator,
-) -> float:
+def fid_infinity(real: Real, generated: Generated, rng: np.random.Generator) -> float:
     """FID extrapolated to infinitely many samples, by a least-squares line over 1/N (Chong & Forsyth 2020, §4).
 
     Both sides are thinned to the same N (the paper thins the generated side alone, its real statistics being fixed), so
@@ -130,11 +126,7 @@ def fid_infinity(
     return float(limit)
 
 
-def kid(
-    real: Float[np.ndarray, "n features"],
-    generated: Float[np.ndarray, "m features"],
-    real_kernel: float | None = None,
-) -> float:
+def kid(real: Real, generated: Generated, real_kernel: float | None = None) -> float:
     """Unbiased squared MMD with k(x, y) = (x·y / features + 1)³; may be negative; expectation 0 for equal sets.
 
     Published figures average over random subsets of 1,000; the U-statistic over whole sets, used here, has the same
@@ -166,10 +158,7 @@ def _kernel_sum(x: Float64[np.ndarray, "n features"], y: Float64[np.ndarray, "m 
 
 
 def prdc(
-    real: Float[np.ndarray, "n features"],
-    generated: Float[np.ndarray, "m features"],
-    num_neighbours: int = 5,
-    real_radii: Float64[np.ndarray, "n"] | None = None,
+    real: Real, generated: Generated, num_neighbours: int = 5, real_radii: Float64[np.ndarray, "n"] | None = None
 ) -> dict[str, float]:
     """Precision and recall (Kynkäänniemi et al. 2019), density and coverage (Naeem et al. 2020), not symmetric.
 
@@ -216,7 +205,7 @@ def _squared_distances(
     return distances
 
 
-def squared_radii(features: Float[np.ndarray, "n features"], num_neighbours: int) -> Float64[np.ndarray, "n"]:
+def squared_radii(features: Real, num_neighbours: int) -> Float64[np.ndarray, "n"]:
     """Squared distance of every point to its k-th neighbour in the same set; the nearest point is itself."""
     features = features - features.mean(axis=0, dtype=np.float64)
     blocks = (

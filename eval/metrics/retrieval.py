@@ -14,6 +14,9 @@ from eval.metrics.metric import Metric, by_frames
 from motionkit.core.shapes import Bool, Float, Float64, Int64
 
 RECALL_RANKS = (1, 2, 3, 5, 10)
+REFERENCE_POOL = 32
+RANKS = 3
+Embeddings = Float[np.ndarray, "pairs numbers"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +61,7 @@ def retrieval(
     return Retrieval(np.array(recall), float(np.median(ranks)))
 
 
-def clip_score(queries: Float[np.ndarray, "pairs numbers"], candidates: Float[np.ndarray, "pairs numbers"]) -> float:
+def clip_score(queries: Embeddings, candidates: Embeddings) -> float:
     """Mean cosine of the angle between the embeddings of each pair, text and motion: −1 to 1.
 
     CLIP-score as MARDM computes it, on the embeddings of its MotionCLIP: not scaled by 2.5 and not cut at 0 as the
@@ -78,7 +81,7 @@ def _directions(rows: Float[np.ndarray, "rows numbers"], name: str) -> Float64[n
     return np.asarray(values / lengths)
 
 
-def tmr_score(queries: Float[np.ndarray, "pairs numbers"], candidates: Float[np.ndarray, "pairs numbers"]) -> float:
+def tmr_score(queries: Embeddings, candidates: Embeddings) -> float:
     """½ + ½ · `clip_score`: the score of pairs in TMR's code and in Kimodo's (kimodo/metrics/tmr.py), 0 to 1."""
     return 0.5 + 0.5 * clip_score(queries, candidates)
 
@@ -105,16 +108,8 @@ def least_similar(similarity: Float[np.ndarray, "rows rows"], number: int) -> In
     return np.sort(np.array(chosen, dtype=np.int64))
 
 
-REFERENCE_POOL = 32
-RANKS = 3
-
-
 def r_precision(
-    queries: Float[np.ndarray, "pairs numbers"],
-    candidates: Float[np.ndarray, "pairs numbers"],
-    *,
-    rng: np.random.Generator,
-    pool: int = REFERENCE_POOL,
+    queries: Embeddings, candidates: Embeddings, *, rng: np.random.Generator, pool: int = REFERENCE_POOL
 ) -> tuple[Float64[np.ndarray, "ranks"], float]:
     """R-Precision for each number of nearest candidates from 1, and MM-Dist, the pairs' mean distance.
 
@@ -129,10 +124,7 @@ def r_precision(
 
 
 def pool_distances(
-    queries: Float[np.ndarray, "pairs numbers"],
-    candidates: Float[np.ndarray, "pairs numbers"],
-    order: Int64[np.ndarray, "chosen"],
-    pool: int = REFERENCE_POOL,
+    queries: Embeddings, candidates: Embeddings, order: Int64[np.ndarray, "chosen"], pool: int = REFERENCE_POOL
 ) -> Float64[np.ndarray, "pools pool pool"]:
     """Euclidean distances inside pools that are cut from the pairs in `order`; [i, j, j] is a pair's own distance.
 

@@ -53,11 +53,11 @@ class Panel:
     is_training: bool = False
 
 
-def curves_figure(panels: Sequence[Panel], width_inches: float = 12.0) -> Figure:
+def curves_figure(panels: Sequence[Panel]) -> Figure:
     """Panels of curves only, at most two per line."""
     lines = -(-len(panels) // 2)
     height_inches = max(4.2, 1.2 + 0.27 * max(len(panel.curves) for panel in panels))
-    figure = Figure(figsize=(width_inches, height_inches * lines), layout="constrained")
+    figure = Figure(figsize=(12.0, height_inches * lines), layout="constrained")
     draw_panels(figure, panels)
     return figure
 
@@ -183,8 +183,8 @@ def panels_of(result: Result, y_label: str = "lower is better") -> tuple[Panel, 
 
 def _quantity(block: Block) -> str | None:
     """The axis label of the columns' quantity; None if they are not of one quantity."""
-    found = [COLUMN.fullmatch(column) for column in block.columns]
-    kinds = {None if match is None else (match["before"], match["after"]) for match in found}
+    matches = [COLUMN.fullmatch(column) for column in block.columns]
+    kinds = {None if match is None else (match["before"], match["after"]) for match in matches}
     kind = kinds.pop() if len(kinds) == 1 else None
     if kind is None or kind == ("", ""):
         return None
@@ -195,21 +195,21 @@ def _curves(block: Block) -> tuple[Curve, ...]:
     places = {column: float(match["number"]) for column in block.columns if (match := COLUMN.fullmatch(column))}
     curves = []
     for row in block.rows:
-        found = [(place, row.cells[column]) for column, place in places.items() if column in row.cells]
-        if found:
-            values, widths = tuple(cell.value for _, cell in found), tuple(cell.ci95 or 0.0 for _, cell in found)
+        points = [(place, row.cells[column]) for column, place in places.items() if column in row.cells]
+        if points:
+            values, widths = tuple(cell.value for _, cell in points), tuple(cell.ci95 or 0.0 for _, cell in points)
             label = row.name.removesuffix(" (paper)")
-            curves.append(Curve(label, tuple(place for place, _ in found), values, widths))
+            curves.append(Curve(label, tuple(place for place, _ in points), values, widths))
     return tuple(curves)
 
 
-def cost_figure(result: Result, width_inches: float = 6.4) -> Figure | None:
+def cost_figure(result: Result) -> Figure | None:
     """The first block whose columns begin with seconds and end with a quality; None if there is no such block.
 
     Rows with both are points, others levels (dashed). Both axes begin at zero, so that distances are to scale.
     """
-    found = [block for block in result.blocks if block.columns and "seconds" in block.columns[0]]
-    block = next((block for block in found if any(block.columns[0] in row.cells for row in block.rows)), None)
+    timed = [block for block in result.blocks if block.columns and "seconds" in block.columns[0]]
+    block = next((block for block in timed if any(block.columns[0] in row.cells for row in block.rows)), None)
     if block is None:
         return None
     seconds, quality = block.columns[0], block.columns[-1]
@@ -217,7 +217,7 @@ def cost_figure(result: Result, width_inches: float = 6.4) -> Figure | None:
     points = {name: cells for name, cells in rows.items() if seconds in cells}
     x, y = ([cells[column].value for cells in points.values()] for column in (seconds, quality))
     half_widths = [cells[quality].ci95 or 0.0 for cells in points.values()]
-    figure = Figure(figsize=(width_inches, 0.65 * width_inches), layout="constrained")
+    figure = Figure(figsize=(6.4, 4.16), layout="constrained")
     axes = figure.subplots()
     axes.errorbar(x, y, half_widths, color=CURVE_COLOURS[0], marker="o", markersize=4.5, capsize=2.0)
     small: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7.5}
@@ -255,7 +255,7 @@ def stages_of(run: Path) -> list[StageTraining]:
     if not folders:
         raise RunError(f"{run} holds no trained stage (motionkit train --run {run.name})")
     weights = RunFolder(run).fingerprints()
-    found = []
+    stages = []
     for path in folders:
         stage = RunFolder(run).stage(path.name)
         config = stage.read_config()
@@ -269,8 +269,8 @@ def stages_of(run: Path) -> list[StageTraining]:
             "store": str(config.get("store_fingerprint", "–"))[:12],
             "weights (sha256)": weights.get(path.name, "–")[:12],
         }
-        found.append(StageTraining(path.name, facts, stage.read_metrics()))
-    return found
+        stages.append(StageTraining(path.name, facts, stage.read_metrics()))
+    return stages
 
 
 def training_figure(stages: Sequence[StageTraining]) -> Figure | None:
@@ -279,9 +279,9 @@ def training_figure(stages: Sequence[StageTraining]) -> Figure | None:
     for stage in stages:
         curves = []
         for name in dict.fromkeys(key for line in stage.lines for key in line if key not in ("step", "seconds")):
-            there = {line["step"]: line[name] for line in stage.lines if line.get(name, 0.0) > 0}
-            if there:
-                curves.append(Curve(name, tuple(there), tuple(there.values()), (0.0,) * len(there)))
+            by_step = {line["step"]: line[name] for line in stage.lines if line.get(name, 0.0) > 0}
+            if by_step:
+                curves.append(Curve(name, tuple(by_step), tuple(by_step.values()), (0.0,) * len(by_step)))
         if curves:
             panels.append(Panel(stage.name, "", tuple(curves), "steps", is_training=True))
     return curves_figure(panels) if panels else None

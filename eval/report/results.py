@@ -185,12 +185,12 @@ class Result:
 
     def _repr_html_(self) -> str:
         """The tables' numbers, for notebooks."""
-        found = [f"<h3>{escape(self.title)}</h3><p>{escape(self.caption)}</p>"]
+        html = [f"<h3>{escape(self.title)}</h3><p>{escape(self.caption)}</p>"]
         for block in self.blocks:
             lines = [("", *block.columns), *((name, *texts) for name, texts in block.texts())]
             table = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in line)}</tr>" for line in lines)
-            found.append(f"<h4>{escape(block.title)}</h4><table>{table}</table>")
-        return "".join(found)
+            html.append(f"<h4>{escape(block.title)}</h4><table>{table}</table>")
+        return "".join(html)
 
 
 DIFFERENCES_NOTE = (
@@ -212,14 +212,14 @@ def score_differences(
     rows: Mapping[RowId, Mapping[str, Number]], column_of: Mapping[str, str], references: Collection[RowId] = ()
 ) -> Differences:
     """Differences of all pairs of rows that are no references, and from these; `column_of` maps metrics to columns."""
-    found: dict[tuple[RowId, RowId], dict[str, Number]] = {}
+    differences: dict[tuple[RowId, RowId], dict[str, Number]] = {}
     for first, second in pairs_of((row for row in rows if row not in references), references):
         for name, column in column_of.items():
             if name in rows[first] and name in rows[second]:
                 less = rows[first][name].less(rows[second][name])
                 if less is not None:
-                    found.setdefault((first, second), {})[column] = less
-    return found
+                    differences.setdefault((first, second), {})[column] = less
+    return differences
 
 
 def of_interest(block: Block, differences: Differences, best: Iterable[str] = ()) -> Differences:
@@ -231,8 +231,8 @@ def of_interest(block: Block, differences: Differences, best: Iterable[str] = ()
     best = {*best} or {names[0] for names in _ranked(block).values()}
     shown = best | {row.name for row in block.rows if row.origin == "reference"}
     return {
-        (first, second): found
-        for (first, second), found in differences.items()
+        (first, second): by_column
+        for (first, second), by_column in differences.items()
         if not best or shown & {str(first), str(second)} or first.system == second.system
     }
 
@@ -240,9 +240,9 @@ def of_interest(block: Block, differences: Differences, best: Iterable[str] = ()
 def differences_block(block: Block, differences: Differences) -> Block | None:
     """A row for each pair of a block's rows, with its verdict; None if there is no pair."""
     rows = []
-    for (first, second), found in differences.items():
-        cells = {column: Cell(each.value, each.ci95) for column, each in found.items()}
-        rows += [Row(f"{first} − {second}", "ours", cells, said(found, block.metrics))] if found else []
+    for (first, second), by_column in differences.items():
+        cells = {column: Cell(each.value, each.ci95) for column, each in by_column.items()}
+        rows += [Row(f"{first} − {second}", "ours", cells, verdicts(by_column, block.metrics))] if by_column else []
     if not rows:
         return None
     compared = Block(block.title + DIFFERENCES, block.columns, tuple(rows), note=DIFFERENCES_NOTE)
@@ -257,27 +257,28 @@ def with_differences(block: Block, differences: Differences, best: Iterable[str]
 
 def _ranked(block: Block) -> dict[str, list[str]]:
     """A block's own rows by column, best first; none for columns in which real motion's number is best."""
-    by_column = {measure.column: measure.better for measure in block.metrics}
-    found = {}
+    ranked = {}
     for column in block.columns:
-        better = by_column.get(column, by_column.get("", "as real"))
+        better = _better_in(column, block.metrics)
         numbers = {
             row.name: row.cells[column].value for row in block.rows if row.origin == "ours" and column in row.cells
         }
         if better != "as real" and numbers:
-            found[column] = sorted(numbers, key=lambda name: numbers[name], reverse=better == "higher")
-    return found
+            ranked[column] = sorted(numbers, key=lambda name: numbers[name], reverse=better == "higher")
+    return ranked
 
 
-def said(found: Mapping[str, Number], metrics: tuple[Measure, ...]) -> str:
-    """Columns in which the first row is better, worse, or no different; "lower" and "higher" if neither is better.
-
-    A metric applies to the column that it names, or to all if it names none.
-    """
+def _better_in(column: str, metrics: Iterable[Measure]) -> str:
+    """The direction of better numbers by the metric that names the column, or by the one that names none."""
     by_column = {measure.column: measure.better for measure in metrics}
+    return by_column.get(column, by_column.get("", "as real"))
+
+
+def verdicts(differences: Mapping[str, Number], metrics: tuple[Measure, ...]) -> str:
+    """Columns in which the first row is better, worse, or no different; "lower" and "higher" if neither is better."""
     columns: dict[str, list[str]] = {}
-    for column, each in found.items():
-        best = by_column.get(column, by_column.get("", "as real"))
+    for column, each in differences.items():
+        best = _better_in(column, metrics)
         verdict: str = each.verdict
         if verdict in ("lower", "higher") and best != "as real":
             verdict = "better" if verdict == best else "worse"
@@ -295,7 +296,7 @@ def best_in_column(block: Block, blocks: Iterable[Block]) -> dict[str, frozenset
     if tests is None:
         return {}
     cells = {row.name: row.cells for row in tests.rows}
-    found = {}
+    best_rows = {}
     for column, (best, *others) in _ranked(block).items():
         tested = {
             other: cells[pair][column]
@@ -305,8 +306,8 @@ def best_in_column(block: Block, blocks: Iterable[Block]) -> dict[str, frozenset
         }
         if tested:
             alike = (other for other, less in tested.items() if less.ci95 is not None and abs(less.value) <= less.ci95)
-            found[column] = frozenset([best, *alike])
-    return found
+            best_rows[column] = frozenset([best, *alike])
+    return best_rows
 
 
 def environment() -> dict[str, Any]:
@@ -333,8 +334,8 @@ def provenance(store: Path | None = None, runs: Iterable[Path] = ()) -> dict[str
     """
     stages = {run: sorted(path.name for path in run.iterdir()) for run in runs}
     weights = {run.name: RunFolder(run).fingerprints(names) for run, names in stages.items()}
-    found = {} if store is None else {"store": {"path": store.name, "fingerprint": read_manifest(store).fingerprint}}
-    return {**found, "weights_sha256": weights, "environment": environment()}
+    of_store = {} if store is None else {"store": {"path": store.name, "fingerprint": read_manifest(store).fingerprint}}
+    return {**of_store, "weights_sha256": weights, "environment": environment()}
 
 
 def write_result(result: Result, folder: Path) -> Path:
@@ -351,8 +352,8 @@ def read_result(path: Path | str) -> Result:
     """
     try:
         document = read_json(Path(path), HINT)
-        if (found := document.pop("format", None)) != FORMAT:
-            raise ValueError(f"not a result of format {FORMAT} (found {shown(found)})")
+        if (stated := document.pop("format", None)) != FORMAT:
+            raise ValueError(f"not a result of format {FORMAT} (found {shown(stated)})")
         result = from_plain(Result, document)
     except (UsageError, OverflowError, TypeError, ValueError, OSError) as error:
         raise ResultError(f"{path}: cannot be read as a result: {error}; run the evaluation again") from None
@@ -415,25 +416,25 @@ def samples_only(result: Result) -> Result:
 
 def to_markdown(result: Result) -> str:
     """The whole result as Markdown."""
-    found = [f"# {result.title}", result.caption]
-    found += [f"![{result.title}]({result.figure})"] if result.figure else []
+    texts = [f"# {result.title}", result.caption]
+    texts += [f"![{result.title}]({result.figure})"] if result.figure else []
     for block in result.blocks:
-        found += [f"## {block.title}", _markdown_table(block.columns, block.texts())]
+        texts += [f"## {block.title}", _markdown_table(block.columns, block.texts())]
         measures = dict.fromkeys(map(format_measure, block.metrics))
         notes = [f"- {row.name}: {row.note}" for row in block.rows if row.note]
-        found += filter(None, [block.note, ". ".join(measures) + "." if measures else "", "\n".join(notes)])
+        texts += filter(None, [block.note, ". ".join(measures) + "." if measures else "", "\n".join(notes)])
         details = detail_tables(block)
-        found += ["<details><summary>Further metrics</summary>"] if details else []
+        texts += ["<details><summary>Further metrics</summary>"] if details else []
         for table in details:
             numbers = [
                 (row.name, [format_number(values[column]) if column in values else "–" for column in table["columns"]])
                 for row, values in table["rows"]
             ]
-            found += [table["name"], _markdown_table(table["columns"], numbers)]
-        found += ["</details>"] if details else []
+            texts += [table["name"], _markdown_table(table["columns"], numbers)]
+        texts += ["</details>"] if details else []
     for heading, lines in (("Not in this table:", result.missing), ("Notes:", result.notes)):
-        found += [heading, "\n".join(f"- {line}" for line in lines)] if lines else []
-    return "\n\n".join([*found, f"{result.task}, version {result.version}."]) + "\n"
+        texts += [heading, "\n".join(f"- {line}" for line in lines)] if lines else []
+    return "\n\n".join([*texts, f"{result.task}, version {result.version}."]) + "\n"
 
 
 def _markdown_table(columns: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]]) -> str:
@@ -466,18 +467,13 @@ def _tex(text: str) -> str:
     return text.translate(LATEX)
 
 
-def to_html(
-    results: Sequence[Result],
-    title: str = "motionkit results",
-    cards: Sequence[str] = (),
-    figures: Mapping[int, "Figure"] = {},
-) -> str:
+def to_html(results: Sequence[Result], cards: Sequence[str] = (), figures: Mapping[int, "Figure"] = {}) -> str:
     """All results as one self-contained page.
 
     `cards` are articles, as HTML, in front; `figures` are placed in the results with these indices.
     """
     page = _environment().get_template("report.html.j2")
-    return page.render(results=results, title=title, cards=cards, figures=figures)
+    return page.render(results=results, cards=cards, figures=figures)
 
 
 def card(template: str, **values: Any) -> str:

@@ -47,22 +47,22 @@ class StoredMotion:
 def read_stored(path: Path) -> list[StoredMotion]:
     """All motions of a .npy or .npz file. Raises `FormatError` for files without any; NaN is not checked."""
     data = source_file.read_bytes(path)
-    found = _archive(path, data) if path.suffix.lower() == ".npz" else npy.read_object(path, data)
-    if isinstance(found, np.ndarray):
-        found = {"motion": found}
-    if not isinstance(found, dict):
+    content = _archive(path, data) if path.suffix.lower() == ".npz" else npy.read_object(path, data)
+    if isinstance(content, np.ndarray):
+        content = {"motion": content}
+    if not isinstance(content, dict):
         raise FormatError("expected an array, or a dictionary of named arrays", path=path, reason="not-a-number")
-    array = next((found[key] for key in MOTION_KEYS if isinstance(found.get(key), np.ndarray)), None)
+    array = next((content[key] for key in MOTION_KEYS if isinstance(content.get(key), np.ndarray)), None)
     if array is None:
-        held = ", ".join(sorted(map(str, found)))[:200] or "no known key"
+        held = ", ".join(sorted(map(str, content)))[:200] or "no known key"
         message = f"no array 'motion'; it holds {held} (docs/samples.md says how to export)"
         raise FormatError(message, path=path, reason="missing-key")
     if array.dtype.kind not in npy.NUMBERS:
         raise FormatError(f"array of {str(array.dtype)[:40]}, expected numbers", path=path, reason="not-a-number")
     motions = split_motions(array, path)
-    lengths = _lengths(found.get("lengths"), len(motions), len(motions[0]), path)
-    captions, actions = (_texts(found, keys, len(motions), path) for keys in (TEXT_KEYS, ACTION_KEYS))
-    groups, fps = _groups(found, len(motions), path), _fps(found.get("fps"), path)
+    lengths = _lengths(content.get("lengths"), len(motions), len(motions[0]), path)
+    captions, actions = (_texts(content, keys, len(motions), path) for keys in (TEXT_KEYS, ACTION_KEYS))
+    groups, fps = _groups(content, len(motions), path), _fps(content.get("fps"), path)
     each = zip(motions, lengths, captions, actions, groups, strict=True)
     return [
         StoredMotion(numbers[:length], None if len(motions) == 1 else index, caption, action, group, fps)
@@ -119,9 +119,9 @@ def _lengths(stated: Any, count: int, frames: int, path: Path) -> list[int]:
     return list(map(int, lengths))
 
 
-def _texts(found: Mapping[str, Any], keys: Sequence[str], count: int, path: Path) -> list[str]:
+def _texts(content: Mapping[str, Any], keys: Sequence[str], count: int, path: Path) -> list[str]:
     """A text for each motion, "" without any."""
-    values = next((found[key] for key in keys if found.get(key) is not None), [""] * count)
+    values = next((content[key] for key in keys if content.get(key) is not None), [""] * count)
     values = values.tolist() if isinstance(values, np.ndarray) else [values] if isinstance(values, str) else values
     is_listed = isinstance(values, (list, tuple)) and len(values) == count
     if not is_listed or not all(isinstance(value, (str, int, float)) for value in values):
@@ -130,12 +130,12 @@ def _texts(found: Mapping[str, Any], keys: Sequence[str], count: int, path: Path
     return [value if isinstance(value, str) else shown(value) for value in values]
 
 
-def _groups(found: Mapping[str, Any], count: int, path: Path) -> list[str]:
+def _groups(content: Mapping[str, Any], count: int, path: Path) -> list[str]:
     """The prompt of each motion by MDM's order: motion r · num_samples + s is repetition r of prompt s.
 
     See sample/generate.py of motion-diffusion-model.
     """
-    samples, repetitions = found.get("num_samples"), found.get("num_repetitions")
+    samples, repetitions = content.get("num_samples"), content.get("num_repetitions")
     if samples is None or repetitions is None:
         return [""] * count
     whole = isinstance(samples, int) and isinstance(repetitions, int)

@@ -14,7 +14,7 @@ import numpy as np
 
 from eval.sets.motions import RealMotion, each_upsampled
 from eval.sets.sets import Ragged, SampleSet
-from motionkit.core.errors import FormatError, MotionkitError
+from motionkit.core.errors import FormatError, MotionkitError, counted
 from motionkit.core.shapes import Float32
 from motionkit.fields.resample import resample_positions
 
@@ -134,8 +134,7 @@ class SampleFolder:
         listed = ", ".join(
             f"{float(fps):.5g} fps" + (f" ({rates[fps]:,})" if len(rates) > 1 else "") for fps in sorted(rates)
         )
-        count = f"{self.num_motions:,} motion" + ("" if self.num_motions == 1 else "s")
-        minutes = f"{self.duration_seconds / 60:.1f} min"
+        count, minutes = counted(self.num_motions, "motion"), f"{self.duration_seconds / 60:.1f} min"
         lines = [f"{count} at {listed}, {minutes}; below a column's framerate they are upsampled by SLERP"]
         if self.left_out:
             lines.append(left_out_line(self.left_out, self.num_motions))
@@ -199,8 +198,8 @@ def samples_of_takes(samples: SampleSet, takes: Sequence[str], real: SampleSet) 
         return replace(samples, takes=samples.groups)
     compared = set(real.sequence_ids)
     chosen = [index for index, take in enumerate(takes) if take in compared]
+    if not chosen:
+        return None
     own = tuple(takes[index] for index in chosen)
     generations = tuple(own[:number].count(take) for number, take in enumerate(own))
-    return (
-        replace(samples.select(chosen), takes=own, generations=generations if any(generations) else ()) if own else None
-    )
+    return replace(samples.select(chosen), takes=own, generations=generations if any(generations) else ())

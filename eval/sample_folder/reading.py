@@ -5,7 +5,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cache
 from pathlib import Path, PurePath
@@ -291,8 +291,6 @@ PLAIN_ARRAYS = frozenset({"joints-npy", "pose-vectors"})
 HANDLED_HERE = ("caption-without-motion", "empty-folder", "unknown-format")
 MOST_SIDECAR_BYTES = 1 << 16
 CHECKED_ROWS = 20_000
-OnRead = Callable[[int, int], None]
-"""Called with the number of files read and of all files."""
 
 
 @dataclass(frozen=True)
@@ -312,9 +310,9 @@ def read_sample_folder(
     name: str,
     source: Path,
     options: SampleOptions | None = None,
-    on_read: OnRead = lambda done, total: None,
+    on_read: Callable[[int, int], None] = lambda done, total: None,
 ) -> SampleFolder:
-    """Read every motion of a folder, or of one file.
+    """Read every motion of a folder, or of one file; `on_read` gets the number of files read and of all files.
 
     Motions that cannot be read, whose framerate is not known, that hold NaN or are no human bodies are in `left_out`.
     Raises `SampleFolderError` without any other motion, for missing metadata (statistics of pose vectors), or for
@@ -433,18 +431,13 @@ def list_samples(name: str, source: Path) -> Listing:
     return Listing(root, manifest, arrays, items, rows, problems, remarks)
 
 
-@dataclass
 class _Reader:
     """Reads files of one listing; owns what they share: statistics, prompts, framerates of folders."""
 
-    name: str
-    listing: Listing
-    options: SampleOptions
-    num_trimmed: int = 0
-    vectors: dict[int, list[np.ndarray]] = field(default_factory=lambda: defaultdict(list))
-
-    def __post_init__(self) -> None:
-        self.manifest = self.listing.manifest
+    def __init__(self, name: str, listing: Listing, options: SampleOptions) -> None:
+        self.name, self.listing, self.options = name, listing, options
+        self.num_trimmed, self.manifest = 0, listing.manifest
+        self.vectors: dict[int, list[np.ndarray]] = defaultdict(list)
         # The axis that points up, empty where it is to be inferred.
         self.up = self.manifest.up or self.options.up
         self._prompts = read_prompts(self.manifest.prompts) if self.manifest.prompts else ()

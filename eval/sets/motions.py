@@ -123,6 +123,7 @@ def training_motion(store: Store, compared: RealMotion) -> RealMotion:
 
 
 AT_ONCE = 256
+Joints = Float32[np.ndarray, "_frames _joints 3"]
 
 
 @dataclass(frozen=True)
@@ -276,12 +277,10 @@ def upsampled(samples: SampleSet, fps: Fraction, name: str) -> SampleSet:
     Joint rotations (from inverse kinematics) on great arcs, the root on straight lines, positions by forward
     kinematics. Raises `ValueError` if `fps` is below the set's.
     """
-    return samples.with_positions(name, fps, list(each_upsampled(list(samples.sequences), samples.fps, fps)))
+    return samples.with_positions(list(each_upsampled(list(samples.sequences), samples.fps, fps)), name=name, fps=fps)
 
 
-def upsampled_positions(
-    positions: Float32[np.ndarray, "frames joints 3"], fps_from: Fraction, fps_to: Fraction
-) -> Float32[np.ndarray, "new_frames joints 3"]:
+def upsampled_positions(positions: Joints, fps_from: Fraction, fps_to: Fraction) -> Joints:
     """Joint positions of the 22-joint layout at a higher framerate; raises `ValueError` for a lower one."""
     return upsample(Motion(positions, SMPL22, TimeGrid(fps_from, len(positions))), fps_to).joint_positions
 
@@ -291,9 +290,7 @@ SEQUENCES_AT_ONCE = 16
 MOST_PADDING = 16
 
 
-def each_upsampled(
-    sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]], fps_from: Fraction, fps_to: Fraction
-) -> Iterator[Float32[np.ndarray, "_new_frames joints 3"]]:
+def each_upsampled(sequences: Sequence[Joints], fps_from: Fraction, fps_to: Fraction) -> Iterator[Joints]:
     """As `upsampled_positions`, for several sequences of one framerate at a time, which is faster.
 
     They are concatenated, each starting at an instant of both grids: SLERP is local to two neighbouring poses.
@@ -324,7 +321,7 @@ def upsample_as_vectors(samples: SampleSet, fps: Fraction, name: str) -> SampleS
         fraction = (place - below)[:, None]
         mixed = (1.0 - fraction) * vectors[below] + fraction * vectors[above]
         sequences.append(humanml3d.positions(mixed.astype(np.float32), SMPL22.name))
-    return samples.with_positions(name, fps, sequences)
+    return samples.with_positions(sequences, name=name, fps=fps)
 
 
 def low_pass(

@@ -137,10 +137,11 @@ class SampleSet:
         return rows
 
     def with_positions(
-        self, name: str, fps: Fraction, sequences: Sequence[Float32[np.ndarray, "_frames joints 3"]]
+        self, sequences: Sequence[Frames], *, name: str | None = None, fps: Fraction | None = None
     ) -> "SampleSet":
-        """The same sequences by id, with other positions at another framerate and no rotations."""
-        return replace(self, name=name, fps=fps, sequences=Ragged.of(sequences), local_rotations=None)
+        """The same sequences by id, with other positions, at another framerate if given, and no rotations."""
+        sampled = Ragged.of(sequences)
+        return replace(self, name=name or self.name, fps=fps or self.fps, sequences=sampled, local_rotations=None)
 
 
 def sample_set(

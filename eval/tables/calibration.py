@@ -14,11 +14,12 @@ from eval.clip_fid.score import CLIP_FID, Comparison, feature_sources
 from eval.detail import LEAST_FPS, DetailProfile, RealDetail
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, measure
-from eval.sets.damage import FAMILIES, NUM_GAMES, Family, games, shift_by_half_a_frame, turn
+from eval.sets.damage import FAMILIES, NUM_GAMES, Family, games, shift_by_half_a_frame
 from eval.sets.motions import real_motion
 from eval.sets.sets import SampleSet
 from eval.tables.systems import COLUMNS, label
 from eval.tables.table import Content, EvalConfig, Table
+from motionkit.core.kinematics import rotate_about_y
 from motionkit.core.motion import mirror_positions
 from motionkit.core.progress import task
 from motionkit.core.skeleton import SMPL22
@@ -153,22 +154,22 @@ def _level(family: Family, strength: float) -> str:
 def _damaged(real: SampleSet, family: Family, strength: float, seed: int) -> SampleSet:
     rng = np.random.default_rng((seed, 5))
     sequences = [family.corrupt(take, float(real.fps), strength, rng) for take in real.sequences]
-    return real.with_positions(_level(family, strength), real.fps, sequences)
+    return real.with_positions(sequences, name=_level(family, strength))
 
 
 def _harmless(real: SampleSet, seed: int) -> dict[str, SampleSet]:
     """Yaw and translation drawn per take, sinc interpolation by half a frame, and left and right exchanged."""
     rng = np.random.default_rng((seed, 6))
     takes = list(real.sequences)
-    yaws = rng.uniform(0, 2 * np.pi, len(takes)).tolist()
+    yaws = map(np.asarray, rng.uniform(0, 2 * np.pi, len(takes)))
     offsets = rng.uniform(-5.0, 5.0, (len(takes), 2)) @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     harmless = {
-        "yaw": map(turn, takes, yaws),
+        "yaw": map(rotate_about_y, (take.astype(np.float64) for take in takes), yaws),
         "translation": ((take + offset).astype(np.float32) for take, offset in zip(takes, offsets, strict=True)),
         MIRRORED: (mirror_positions(take, SMPL22.left_right_pairs) for take in takes),
         "sinc interpolation by half a frame": map(shift_by_half_a_frame, takes),
     }
-    return {name: real.with_positions(name, real.fps, list(sequences)) for name, sequences in harmless.items()}
+    return {name: real.with_positions(list(sequences), name=name) for name, sequences in harmless.items()}
 
 
 def compute(config: EvalConfig, store: Store) -> Content:

@@ -16,16 +16,7 @@ from eval.completion.interpolation import CLIP_FRAMES, scale_label
 from eval.completion.scores import Scope, Scores, Shown, blocks_of, shown_measure, with_pools
 from eval.metrics.registry import find_metric
 from eval.report.results import Block, Cell, Row
-from eval.tables.table import (
-    SOURCES,
-    Content,
-    EvalConfig,
-    Reported,
-    Table,
-    mean_cells,
-    printed_block,
-    reported_figures,
-)
+from eval.tables.table import SOURCES, Content, EvalConfig, Reported, Table, mean_cells, printed_block, reported_figures
 from motionkit.core.errors import MotionkitError
 from motionkit.core.progress import task, tracked
 from motionkit.edit.encoders import installed_encoders

@@ -314,10 +314,7 @@ def score_column(
 
 
 def detail_blocks(
-    real: SampleSet,
-    train: SampleSet | None,
-    rows: Mapping[RowId, SampleSet],
-    config: EvalConfig,
+    real: SampleSet, train: SampleSet | None, rows: Mapping[RowId, SampleSet], config: EvalConfig
 ) -> list[Block]:
     """The detail profile of rows at 40 fps or more; none below, without training motion, or of frozen real motion."""
     rows = {row: samples for row, samples in rows.items() if row not in (REAL, P1, TRAINING_CUT)}

@@ -137,7 +137,7 @@ def as_kit_joints(samples: SampleSet, lengths: Float32[np.ndarray, "21"]) -> Sam
         uniform_skeleton(np.matmul(weights, sequence), KIT21.name, lengths).astype(np.float32)
         for sequence in samples.sequences
     ]
-    return samples.with_positions(samples.name, samples.fps, sequences)
+    return samples.with_positions(sequences)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ def sample_embeddings(
     most_frames = protocol.lengths_at(fps).most_frames(fps)
     samples = folder.at(fps)
     cropped = [middle(sequence, most_frames) for sequence in samples.sequences]
-    samples = samples.with_positions(samples.name, samples.fps, cropped)
+    samples = samples.with_positions(cropped)
     motions, remark = _embedded(folder, samples, real.samples, most_frames, evaluator)
     texts = embed_captions(evaluator, [real.known_captions.get(text, Caption(text)) for text in samples.captions])
     groups = [np.array(rows) for rows in samples.rows_by_group().values()]
@@ -267,7 +267,7 @@ def _embedded(
         return evaluator.embed_motions(samples), BY_JOINTS
     if folder.kit_joints and set(folder.fps) == {samples.fps}:
         joints = [middle(motion, most_frames) for motion in folder.kit_joints]
-        own = samples.with_positions(samples.name, samples.fps, joints)
+        own = samples.with_positions(joints)
         return evaluator.embed_motions(own), f"{BY_JOINTS}; KIT-ML's joints as they came"
     return evaluator.embed_motions(as_kit_joints(samples, kit_lengths)), f"{BY_JOINTS}; {FROM_22_JOINTS}"
 

@@ -36,6 +36,8 @@ from eval.metrics.retrieval import (
 from eval.text_motion.protocol import NUM_GENERATIONS, RetrievalRule, TextMotionProtocol
 from motionkit.core.shapes import Bool, Float, Float64, Int64
 
+Sentences = Float[np.ndarray, "pairs numbers"]
+Repeated = Float[np.ndarray, "texts generations features"]
 PAIR_SCORES = {"clip_score": clip_score, "tmr_score": tmr_score}
 GENERATED, REAL, DIVERSITY, MULTIMODALITY, RETRIEVAL = 0, 1, 2, 3, 9
 """Random streams, so that a metric's draws do not affect another's."""
@@ -118,7 +120,7 @@ def score_text_motion(
     protocol: TextMotionProtocol,
     seed: int,
     *,
-    repeated: Float[np.ndarray, "texts generations features"] | None = None,
+    repeated: Repeated | None = None,
     pair_score: str = "",
 ) -> Scores:
     """R-Precision in both directions, MM-Dist, FID, Diversity and MultiModality of generated motions by a protocol.
@@ -196,9 +198,7 @@ def _num_used(number: int, most: int | None, protocol: TextMotionProtocol) -> in
     return number if protocol.remainder == "R-Precision" else number // protocol.pool * protocol.pool
 
 
-def _add_multimodality(
-    repeated: Float[np.ndarray, "texts generations features"], protocol: TextMotionProtocol, seed: int, scores: Scores
-) -> None:
+def _add_multimodality(repeated: Repeated, protocol: TextMotionProtocol, seed: int, scores: Scores) -> None:
     """MultiModality over the replications of its rule, and its bootstrap over texts."""
     rule, (texts, generations) = protocol.multimodality, repeated.shape[:2]
     scores.sizes |= {"multimodality texts": texts, "multimodality generations": generations}
@@ -227,7 +227,7 @@ def score_retrieval(
     real: TextMotionPairs,
     draws: Sequence[TextMotionPairs],
     rule: RetrievalRule,
-    sentences: Float[np.ndarray, "pairs numbers"],
+    sentences: Sentences,
     seed: int,
     distance: Callable[..., Float[np.ndarray, "queries candidates"]] = cdist,
 ) -> dict[str, Number]:
@@ -256,9 +256,7 @@ def score_retrieval(
     return {name: over_replications(each) for name, each in values.items()}
 
 
-def share_of_same_texts(
-    rule: RetrievalRule, pairs: TextMotionPairs, sentences: Float[np.ndarray, "pairs numbers"]
-) -> float:
+def share_of_same_texts(rule: RetrievalRule, pairs: TextMotionPairs, sentences: Sentences) -> float:
     """Mean fraction of the other texts that count as the same by the rule, which chance gains from."""
     same = _same_texts(rule, pairs, sentences)
     number = len(pairs.texts)
@@ -266,7 +264,7 @@ def share_of_same_texts(
 
 
 def _same_texts(
-    rule: RetrievalRule, draw: TextMotionPairs, sentences: Float[np.ndarray, "pairs numbers"]
+    rule: RetrievalRule, draw: TextMotionPairs, sentences: Sentences
 ) -> Bool[np.ndarray, "pairs pairs"] | None:
     """Which pairs have the same text by the rule, and so are relevant to each other; None for a pair's own alone."""
     if rule.same_above is None:
@@ -277,9 +275,7 @@ def _same_texts(
     return same
 
 
-def _ranked_together(
-    rule: RetrievalRule, sentences: Float[np.ndarray, "pairs numbers"], seed: int
-) -> list[Int64[np.ndarray, "_rows"]]:
+def _ranked_together(rule: RetrievalRule, sentences: Sentences, seed: int) -> list[Int64[np.ndarray, "_rows"]]:
     number = len(sentences)
     if rule.pool is not None:
         if number < rule.pool:

@@ -12,7 +12,7 @@ from eval.detail import RealDetail, detail_profile
 from eval.sets.motions import low_pass
 from eval.sets.sets import sample_set
 from motionkit.core.errors import UsageError
-from tests.helpers.stamping import FPS, stamping
+from tests.helpers.stamping import stamping
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def real() -> RealDetail:
 
 def changed(real: RealDetail, change: Callable[[np.ndarray], np.ndarray]) -> dict[str, float]:
     takes = [change(take).astype(np.float32) for take in real.real.sequences]
-    figures = real.profile(real.real.with_positions("changed", FPS, takes)).figures
+    figures = real.profile(real.real.with_positions(takes)).figures
     return {name: figure.value for name, figure in figures.items()}
 
 
@@ -66,7 +66,7 @@ def test_few_takes_have_no_range_and_slow_motion_no_profile() -> None:
 
 
 def test_frozen_motion_has_no_timing_and_cannot_be_compared_with(real: RealDetail) -> None:
-    frozen = real.real.with_positions("frozen", FPS, [np.repeat(take[:1], 200, axis=0) for take in real.real.sequences])
+    frozen = real.real.with_positions([np.repeat(take[:1], 200, axis=0) for take in real.real.sequences])
     profile = real.profile(frozen)
     assert profile.timing.value == 0.0 and not profile.timing.is_real
     with pytest.raises(ClipError):

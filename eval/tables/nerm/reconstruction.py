@@ -58,13 +58,12 @@ ABLATION_BLOCKS = {
 }
 PRINTED = {"mre": "motion reconstruction, MRE", "clip_fid": "motion synthesis, clip-FID"}
 
+Positions = Float32[np.ndarray, "poses joints 3"]
 # Cells by block, then by column.
 Numbers = dict[str, dict[str, Cell]]
 
 
-def window_truth(
-    source: PositionCache, windows: Windows, row: int, fps: Fraction
-) -> Float32[np.ndarray, "poses joints 3"]:
+def window_truth(source: PositionCache, windows: Windows, row: int, fps: Fraction) -> Positions:
     """A window's own capture at `fps` (not above its native framerate), in the window's frame; metres."""
     start, count = int(windows.start_row[row]), int(windows.num_frames[row])
     positions = np.asarray(source.positions[start : start + count])
@@ -106,12 +105,7 @@ class WindowErrors:
     seconds: float
 
 
-def window_errors(
-    decoded: Float32[np.ndarray, "poses joints 3"],
-    truth: Float32[np.ndarray, "poses joints 3"],
-    fps: Fraction,
-    seconds: float,
-) -> WindowErrors:
+def window_errors(decoded: Positions, truth: Positions, fps: Fraction, seconds: float) -> WindowErrors:
     """The errors of one window of some seconds, decoded at `fps`; both in the window's frame, metres."""
     positions = 1000.0 * mpjpe_root_aligned(decoded, truth), 1000.0 * mpjpe_global(decoded, truth)
     pair = vectors(decoded, "smpl22", fps), vectors(truth, "smpl22", fps)

@@ -191,11 +191,7 @@ class _Comparison:
             )
         self.config, self.protocol, self.evaluator, self.real = config, protocol, evaluator, real
         self.head = f"{evaluator.name} evaluator, protocol {protocol.name}, {float(rates[0]):g} fps"
-        self.provenance = {
-            "evaluator": evaluator.name,
-            "fingerprint": evaluator.fingerprint,
-            "protocol": protocol.name,
-        }
+        self.provenance = {"evaluator": evaluator.name, "fingerprint": evaluator.fingerprint, "protocol": protocol.name}
         with task(config.on_progress, f"{evaluator.name}: embedding real motion"):
             texts, motions = embed_captions(evaluator, real.captions), evaluator.embed_motions(real.samples)
             self.pairs = TextMotionPairs(texts, motions, real.samples.sequence_ids)

@@ -118,11 +118,11 @@ def test_noise_above_eight_hertz_neither_wins_nor_loses(real: SampleSet, descrip
     slow = [low_pass(take, 120.0, 8.0) for take in real.sequences]
     noise = [(0.001 * rng.standard_normal(take.shape)).astype(np.float32) for take in slow]
     noisy = [take + each - low_pass(each, 120.0, 20.0) for take, each in zip(slow, noise, strict=True)]
-    sets = [real.with_positions(name, FPS, takes) for name, takes in {"slow": slow, "noisy": noisy}.items()]
+    sets = [real.with_positions(takes) for takes in (slow, noisy)]
     plain, other = (frechet_distance(gaussian(real), gaussian(each)) for each in sets)
     assert other == pytest.approx(plain, rel=0.02)
 
 
 def test_another_framerate_is_refused(real: SampleSet, descriptor: KinematicDescriptor) -> None:
     with pytest.raises(ValueError, match="fitted at 120"):
-        describer(real.with_positions("60", Fraction(60), list(real.sequences)), descriptor)
+        describer(real.with_positions(list(real.sequences), fps=Fraction(60)), descriptor)

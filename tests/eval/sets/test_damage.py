@@ -85,7 +85,7 @@ def test_every_kind_of_damage_is_played_with_every_noise(real: SampleSet) -> Non
         cheat = played[0][f"upsampled from 20 fps + {name}, 0.3 mm"]
         added = cheat.sequences.values.astype(float) - played[0]["upsampled from 20 fps"].sequences.values
         assert added.std() == pytest.approx(0.0003, rel=0.05)
-    slow = real.with_positions("slow", Fraction(20), list(real.sequences))
+    slow = real.with_positions(list(real.sequences), fps=Fraction(20))
     assert [next(iter(each)) for each in games(slow)] == plain_names[1:]
 
 

@@ -73,4 +73,4 @@ def test_a_row_of_subsets_has_the_spread_of_single_ones() -> None:
 
 
 def moved(samples: SampleSet, metres: float) -> SampleSet:
-    return samples.with_positions("far", FPS, [sequence + np.float32(metres) for sequence in samples.sequences])
+    return samples.with_positions([sequence + np.float32(metres) for sequence in samples.sequences])
