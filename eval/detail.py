@@ -104,8 +104,7 @@ class MotionFigures:
 def _fitted_on(training: SampleSet) -> tuple[Weights, MotionFigures]:
     """The weights that predict timing, and the figures of the motions that they were fitted on.
 
-    Sudden motion explains what steady motion does not. Speed alone would be a good predictor, but noise that is added
-    where joints are fast follows speed too.
+    Sudden motion explains what steady motion does not: noise that is added where joints are fast follows speed too.
     """
     motions = _channels_of(training)
     steady, sudden, timed = (
@@ -264,9 +263,9 @@ class DetailProfile:
 class RealDetail:
     """The real side of a profile, for any number of sets at one framerate.
 
-    `weights` predict log power of joint groups at 12 to 27 Hz from motion below 6 Hz: linear, from steady and sudden
-    channels to deviations from the mean over a second, fitted on training motion. `known` are the figures of the real
-    and the training motions, `ranges` [2, figures] those of `Figure.real_range`.
+    `weights` predict log power of joint groups at 12 to 27 Hz from steady and sudden channels below 6 Hz, both as
+    deviations from the mean over a second. `known` are the figures of the real and the training motions, `ranges` [2,
+    figures] those of `Figure.real_range`.
     """
 
     real: SampleSet

@@ -53,8 +53,8 @@ def describe(
 def clip_rows(samples: SampleSet) -> Rows:
     """Rows of `samples` that make each sequence's clip: its middle, or all frames padded with the last one.
 
-    The published evaluations take a random part of a longer motion; the middle is deterministic.
-    Sources: action-to-motion, dataProcessing/dataset.py; ACTOR, src/datasets/dataset.py.
+    The published evaluations use a random segment of a longer motion (action-to-motion, dataProcessing/dataset.py;
+    ACTOR, src/datasets/dataset.py).
     """
     start, length = samples.sequences.start_row[:, None], samples.sequences.num_frames[:, None]
     frames = np.maximum(length - CLIP_FRAMES, 0) // 2 + np.arange(CLIP_FRAMES)
@@ -116,7 +116,7 @@ def spatial_graph(parents: tuple[int, ...]) -> Float32[np.ndarray, "partitions j
     """The body's graph, partitioned into each joint itself, neighbours not nearer to the root, and nearer ones.
 
     [k, v, w] is the weight from joint v to joint w, divided by the number of w's neighbours, itself included. As in the
-    source, distances are known up to one bone: joints further away count as equally far.
+    source, joints more than one bone from the root count as equally far.
     """
     itself = np.eye(len(parents), dtype=bool)
     linked = itself.copy()
@@ -204,10 +204,10 @@ class StgcnNetwork(nn.Module):
 
 
 def uestc_inputs(samples: SampleSet, rows: Rows) -> Float32[np.ndarray, "clips frames 24 6"]:
-    """First two rows of every joint's matrix, the root turned back into the camera's frame; missing hands are straight.
+    """First two rows of every joint's matrix, the root's in the camera's frame; missing hands are straight.
 
-    Raises `MotionkitError` without the local rotations of SMPL's 24 or 22 joints. Source: ACTOR's rotation conversions,
-    which are pytorch3d's.
+    Raises `MotionkitError` without the local rotations of SMPL's 24 or 22 joints. Source: ACTOR's rotation conversions
+    (pytorch3d's).
     """
     rotations = samples.local_rotations
     if rotations is None or rotations.shape[1] not in (SMPL.num_joints, SMPL22.num_joints):

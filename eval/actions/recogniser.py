@@ -1,8 +1,7 @@
-"""Recognisers of actions: what they are given and answer, their names, and the one that is fitted on a store.
+"""Recognisers of actions: their interface, their names, and the one that is fitted on a store.
 
-The published recognisers know two data sets' actions. `fit_linear` makes one of any store's training split, in a
-second, in closed form and deterministically: linear discriminants of fixed statistics of a motion. Table 3 shows its
-accuracy on held-out motions; its numbers are not comparable between stores. Source of the method: Fisher 1936; Hastie,
+`fit_linear` fits linear discriminants of a motion's statistics on a training split: in closed form, in a second. Table
+3 shows its accuracy on held-out motions; its numbers are not comparable between stores. Source: Fisher 1936; Hastie,
 Tibshirani & Friedman 2009, §4.3.
 """
 
@@ -29,8 +28,8 @@ FeaturesAndScores = tuple[Float64[np.ndarray, "sequences features"], Float64[np.
 class ActionRecogniser:
     """Classifies motions at `fps` by `actions`; a motion's row depends on that motion alone.
 
-    `fingerprint` is a hash of everything that the numbers depend on: definition, weights, settings. `describe` gives
-    features, and scores in the order of the actions.
+    `fingerprint` is a hash of definition, weights and settings. `describe` gives features, and scores in the order of
+    the actions.
     """
 
     name: str
@@ -150,9 +149,9 @@ def _root_motion(positions: Float64[np.ndarray, "frames 22 3"], fps: float) -> F
 def fit_linear(train: SampleSet) -> ActionRecogniser:
     """Fit on a training set's motions with actions; actions with fewer than 10 motions are left out.
 
-    A feature vector is `(statistics − centre) / spread @ directions`: one number fewer than there are actions, each
-    with a variance of 1 within actions. Scores are log posteriors up to a constant: nearness to each action's mean, and
-    its share of the training motions. Raises `MotionkitError` where fewer than two actions remain.
+    A feature vector is `(statistics − centre) / spread @ directions`: one number fewer than there are actions, each of
+    variance 1 within actions. Scores are log posteriors up to a constant. Raises `MotionkitError` where fewer than two
+    actions remain.
     """
     enough = {action for action, count in Counter(train.actions).items() if action and count >= LEAST_TRAINING}
     actions = tuple(sorted(enough))

@@ -77,10 +77,9 @@ def score_actions(
     """Accuracy, FID, Diversity and MultiModality of generated (or real) motions under a protocol.
 
     `references` are features of real motions by set: "train" and "test" give `fid_train` and `fid_test`. `draws` are
-    independent sets of motions, each with its own seed; replication r uses draw r modulo their number. With fewer draws
-    than replications the interval covers less than the protocol intends, which a remark states. If a draw has more
-    motions than the protocol uses, each replication takes a random subset. Raises `ValueError` for different numbers of
-    features, or for non-finite values.
+    independent sets of motions; replication r uses draw r modulo their number, a random subset of it if the protocol
+    has fewer motions. Remarks say where the data has less than the protocol. Raises `ValueError` for different numbers
+    of features, or for non-finite values.
     """
     scores = Scores(remarks=list(protocol.remarks))
     # As in `fid`: one thread of the linear algebra library is the fastest for matrices of this size.

@@ -132,8 +132,7 @@ def known_to_all(real: ActionSet, models: Mapping[str, GenerativeModel], missing
 def generated_like(real: ActionSet, model: GenerativeModel, draw: int, seed: int) -> dict[RowId, ActionSet]:
     """Generate a motion for every real one's action and duration (at most l_max): rows of the model, and of it planted.
 
-    A model that knows no conditions gets the durations alone. Every draw has its own seed. Errors of the model for
-    unknown actions propagate.
+    A model without conditions gets the durations alone. Every draw has its own seed. Raises what the model raises.
     """
     durations = (real.samples.sequences.num_frames - 1) / float(real.samples.fps)
     requests = [

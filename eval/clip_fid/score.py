@@ -1,14 +1,13 @@
 """clip-FID as this project defines it: a distance between features of random native-rate clips.
 
 The NeRM paper (§4.2) compares random clips of m poses at framerate s around a centre v, real against generated, without
-resampling either; m, the number of clips, the extractor and the real set at a target rate are this project's choices,
-and `VERSION` is raised whenever one of them changes. Not the FID of images on CLIP features that other tools call
-clip-FID.
+resampling either. m, the number of clips, the extractor and the real set are this project's choices; `VERSION` is
+raised whenever one of them changes. Not the FID of images on CLIP features that other tools call clip-FID.
 
-The kinematic descriptor describes what bodies do below 8 Hz, by its distribution: poses and their spread, power in
-three slow bands, speeds, sliding feet, height above the floor, and the direction of time. A sum that sees faster motion
-is won by adding noise, so that has figures of its own (`eval.detail`; docs/results/games.md). Powers are those of
-acceleration. Floors under their logarithms are white noise of a fixed amplitude in the positions, at every framerate.
+The kinematic descriptor describes what bodies do below 8 Hz: poses and their spread, power in three slow bands, speeds,
+sliding feet, height above the floor, and the direction of time. Faster motion has figures of its own (`eval.detail`): a
+sum that includes it is won by adding noise (docs/results/games.md). Powers are those of acceleration; floors under
+their logarithms are white noise of a fixed amplitude in the positions.
 """
 
 import hashlib
@@ -264,8 +263,7 @@ def _blas() -> ThreadpoolController:
 def in_threads(function: Callable[[Item], Result], items: Iterable[Item], num_rows: int) -> Iterator[Result]:
     """The results of a function of each item, in order; in threads if the items have many rows (frames, clips) in all.
 
-    BLAS has one thread in each, to avoid oversubscription. For few rows, threads that wait for the interpreter's lock
-    cost more than they save.
+    BLAS has one thread in each. For few rows, waiting for the interpreter's lock costs more than threads save.
     """
     with _blas().limit(limits=1, user_api="blas"):
         if num_rows < ROWS_FOR_THREADS:
@@ -280,8 +278,8 @@ class KinematicDescriptor:
     """The descriptor fitted at one framerate.
 
     `pose_mean` [63] and `pose_components` [10, 63] span poses relative to root and heading; `centre` and `scale`
-    standardise the features, and weigh them. `training` are the motions that it was fitted on and their running sums,
-    if it was fitted on all of them.
+    standardise and weigh the features. `training` are the motions that it was fitted on with their running sums, if it
+    was fitted on all.
     """
 
     name: ClassVar[str] = "kinematic"
@@ -405,9 +403,9 @@ def draw_clips(
 ) -> Clips:
     """The clips of one replication from a set's sequences (only `among`, if given), in proportion to their duration.
 
-    Both sides share sizes and centres, which are uniform over the positions on the frame grid; each side draws its own
-    sequences, of those that hold the whole clip. If sequences were shared too, a copy of the real set would score 0
-    instead of the sampling floor. Raises `ClipError` where no sequence is long enough.
+    Both sides share sizes and centres; each draws its own sequences, of those that hold the whole clip. If sequences
+    were shared too, a copy of the real set would score 0 instead of the sampling floor. Raises `ClipError` where no
+    sequence is long enough.
     """
     stream = (protocol.seed, samples.fps.numerator, samples.fps.denominator, replication)
     shared, own = np.random.default_rng((*stream, 0)), np.random.default_rng((*stream, 1 + side))
@@ -447,8 +445,7 @@ def describer(samples: SampleSet, features: KinematicDescriptor | FeatureSet) ->
 def fit_on(train: SampleSet) -> KinematicDescriptor:
     """Fit the kinematic descriptor on random takes of a training set, and standardise it on clips of them.
 
-    A component's sign is fixed by its largest coordinate, so that the fit does not depend on the linear algebra
-    library.
+    A component's sign is fixed by its largest coordinate, whatever the linear algebra library.
     """
     order = np.random.default_rng((0, FIT_REPLICATION)).permutation(train.num_sequences)
     passed = np.cumsum(train.sequences.num_frames[order])
@@ -501,17 +498,16 @@ class Comparison:
         on_replication: Callable[[], None] = lambda: None,
         subset_sizes: Mapping[RowKey, int] | None = None,
     ) -> dict[RowKey, Number]:
-        """clip-FID of every row's sample set.
+        """clip-FID of every row's sample set; `on_replication` is called after each replication.
 
-        Intervals are over takes (and generations, if there are several) and the drawing of clips; `Number.drawing` is
-        of clips alone. `Number.details` has fid_infinity, kid, precision, recall, density and coverage: empty without
-        detailed replications, no fid_infinity with too few clips. There are no resamplings if the protocol has none, or
-        either side has a single take.
+        Intervals are over takes (and generations, if there are several) and the drawing of clips; without resamplings
+        if the protocol has none or either side has a single take. `Number.drawing` is of clips alone. `Number.details`
+        has fid_infinity (with enough clips), kid, precision, recall, density and coverage of the detailed replications.
 
-        `on_replication` is called after each replication. For rows in `subset_sizes` every replication takes another
-        random subset of up to that many sequences that hold the largest clips; their interval is 1.96 standard
-        deviations of single subsets, not of their mean. Raises `ClipError` if clips do not fit or the real set's
-        features are constant, and what the features raise for another framerate.
+        For rows in `subset_sizes` every replication draws another random subset of up to that many sequences that hold
+        the largest clips; their interval is 1.96 standard deviations of single subsets, not of their mean. Raises
+        `ClipError` if clips do not fit or the real set's features are constant, and what the features raise for another
+        framerate.
         """
         subsets, real, protocol = subset_sizes or {}, self.real, self.protocol
         describers = {
@@ -567,8 +563,6 @@ class Comparison:
         The interval is 1.96 standard deviations of single splits. Raises `ClipError` for a single take.
         """
         real, protocol = self.real, self.protocol
-        if real.num_sequences < 2:
-            raise ClipError(f"{real.name}: {real.num_sequences} take cannot be split into two halves")
 
         def replicate(replication: int) -> dict[str, float]:
             # Two random halves of the sequences, about equal in duration.
@@ -655,8 +649,8 @@ KINEMATIC = FeatureSource(
 def feature_sources(names: Sequence[str] | None, guo: "GuoFiles | None", missing: Missing) -> list[FeatureSource]:
     """All available feature sets, or those of these names; `missing` gets the reason why there is no other.
 
-    Raises `UsageError` for an unknown name and for `guo` without files, and what is wrong with the files if `guo` is
-    the only one.
+    Raises `UsageError` for an unknown name and for `guo` without files, and what loading `guo` raises if it is the only
+    one.
     """
     if unknown := sorted(set(names or ()) - {"kinematic", "guo"}):
         raise UsageError(f"there is no feature set {unknown[0]!r}: kinematic, guo")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from motionkit.cli.console import print_json, print_text, progress, stderr, stdout
+from motionkit.cli.console import parse_rate, print_json, print_text, progress, stderr, stdout
 from motionkit.core import plugins
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.files import default_path, write_whole
@@ -100,7 +100,7 @@ def evaluate(
         where=where,
         run=own,
         samples=named_samples(samples or [], own),
-        sample_options=SampleOptions(framerates(samples_fps, "--samples-fps")[0] if samples_fps else None),
+        sample_options=SampleOptions(parse_rate(samples_fps, "--samples-fps")),
         encoders=encoders,
         max_motions=motions,
         draws=draws,
@@ -162,12 +162,7 @@ def _chosen(table: str | None, figure: str | None, calibrate: bool, paper: str) 
 
 def framerates(text: str, option: str) -> "tuple[Fraction, ...]":
     """Framerates as they are given to an option; raises `UsageError`."""
-    from motionkit.core.timegrid import parse_fps
-
-    try:
-        return tuple(parse_fps(each.strip()) for each in text.split(","))
-    except ValueError as error:
-        raise UsageError(f"{option} {text}: {error}") from None
+    return tuple(rate for each in text.split(",") if (rate := parse_rate(each.strip(), option)) is not None)
 
 
 def _sizes(text: str) -> tuple[int, int]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from motionkit.cli.console import AsJson, Overwrite, Up, print_json, progress, stderr, stdout
+from motionkit.cli.console import AsJson, Overwrite, Up, parse_rate, print_json, progress, stderr, stdout
 from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import require_new, write_whole
 from motionkit.core.progress import task
@@ -30,14 +30,12 @@ def samples(
 
     Example: motionkit samples takes
     """
-    from eval.commands.eval import framerates
     from eval.sample_folder import SampleFolderError, SampleOptions, read_sample_folder
 
-    framerate = framerates(fps, "--fps")[0] if fps else None
     if init:
         _write_manifest(folder, {"fps": fps, "up": up}, overwrite)
     with progress() as show, task(show, "reading") as work:
-        read = read_sample_folder(folder.name, folder, SampleOptions(framerate, up or ""), work.set)
+        read = read_sample_folder(folder.name, folder, SampleOptions(parse_rate(fps), up or ""), work.set)
     summary = _summary(read)
     if as_json:
         print_json(summary)
@@ -66,7 +64,8 @@ def _summary(folder: "SampleFolder") -> dict[str, Any]:
     """Counts and sizes of the motions that were read (`frames`: minimum, median, maximum), and problems of others."""
     import numpy as np
 
-    from eval.sample_folder.reading import bone_lengths, some_poses
+    from eval.sample_folder.reading import some_poses
+    from motionkit.io.body_frame import bone_lengths
 
     lengths, poses = folder.sequences.num_frames, some_poses(list(folder.sequences))
     actions = Counter(filter(None, folder.actions))

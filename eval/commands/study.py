@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from eval.commands.eval import framerates, named_samples
-from motionkit.cli.console import AsJson, Overwrite, RunsFolder, print_json, print_table, progress, stderr, stdout
+from motionkit.cli.console import (
+    AsJson,
+    Overwrite,
+    RunsFolder,
+    parse_rate,
+    print_json,
+    print_table,
+    progress,
+    stderr,
+    stdout,
+)
 from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import default_path, require_new
 from motionkit.core.progress import task
@@ -57,7 +67,7 @@ def make(
     if model is not None and run is None:
         raise UsageError("--model is one of a run's: give --run")
     folder = None if run is None else (runs or default_path("runs")) / run
-    options = SampleOptions(framerates(samples_fps, "--samples-fps")[0] if samples_fps else None)
+    options = SampleOptions(parse_rate(samples_fps, "--samples-fps"))
     rates, missing = framerates(fps, "--fps"), Missing()
     with progress() as show:
         systems = []

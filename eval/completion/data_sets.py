@@ -72,10 +72,10 @@ def local_rotations(vectors: Float32[np.ndarray, "*frames numbers"]) -> Float32[
 
 @dataclass(frozen=True, eq=False)
 class TrueClips:
-    """Clips of equal length at the table's framerate: of a take's frames every `keep_every`-th from `first_row` on.
+    """Clips of equal length at the table's framerate: every `keep_every`-th frame of a sequence from `first_row` on.
 
-    `sequence_index` is each clip's take in the store; takes too short for a clip, and those whose framerate is no whole
-    multiple of the table's, are counted.
+    `sequence_index` is each clip's sequence in the store; those too short for a clip, and those whose framerate is no
+    whole multiple of the table's, are counted.
     """
 
     fps: Fraction
@@ -106,8 +106,7 @@ def open_clips(
 ) -> TrueClips:
     """Clips of `num_frames` frames from every `every`-th frame on, of the takes of one split ("all": any).
 
-    Raises `NoTakesError` where the data set has no take of that split, framerate and length, and what opening the
-    store's cache raises.
+    Raises `NoTakesError` where the data set has no take of that split, framerate and length, and as `open_cache`.
     """
     condition = of_split_and(split, where)
     try:

@@ -30,8 +30,8 @@ from motionkit.training.run import RunFolder, Task, loader_named
 class RowCurves:
     """A batch encoder by curves through root position and two columns of each rotation, made perpendicular again.
 
-    Beyond the observed span values continue at constant velocity. Results depend on the skeleton's rest pose, since
-    orthonormalisation favours a joint's first column.
+    Beyond the observed span values continue at constant velocity. Gram-Schmidt favours a joint's first column, so
+    results depend on the skeleton's rest pose.
     """
 
     kind: CurveKind
@@ -94,8 +94,8 @@ def trained_completers(
 ) -> list[Completer]:
     """The installed encoders for a task that `run` holds, then requested (name, run) pairs, which must exist.
 
-    Encoders missing in `run` are reported with a run that has them; without a run, none is missing. Raises
-    `UsageError` for an unknown name, `DamagedFileError`, and what loading a requested encoder raises.
+    Encoders missing in `run` are reported; without a run, none is missing. Raises `UsageError` for an unknown name,
+    `DamagedFileError`, and what loading a requested encoder raises.
     """
     completers: list[Completer] = []
     requested = {name for name, _ in more}
@@ -147,10 +147,10 @@ def query_many(
     times_seconds: Float64[np.ndarray, "times"],
     fps: Fraction,
 ) -> list[Poses]:
-    """Evaluates the fields of many motions, observed at the same times: batched if the encoder can.
+    """Poses of many motions, observed at the same times, at `times_seconds`: batched if the encoder can.
 
     Times may lie beyond the observed span; fields that depend on the framerate get `fps`. Raises `ValueError` for
-    motions that are observed at different times or differ in their joints, and where the encoder cannot go that far.
+    motions of different times or joints, and what the encoder raises.
     """
     check_observed_alike(observations)
     if isinstance(encoder, BatchEncoder):

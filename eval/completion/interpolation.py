@@ -40,9 +40,7 @@ CONSTANT = 1e-5
 
 
 def given_frames(scale: Fraction) -> Int64[np.ndarray, "given"]:
-    """⌊i·s⌋ for i = 0 … 15, exactly; raises `ValueError` for scales outside (1, 5]."""
-    if not 1 < scale <= LARGEST_SCALE:
-        raise ValueError(f"scales lie above 1 and up to {LARGEST_SCALE}, not at {scale}")
+    """⌊i·s⌋ for i = 0 … 15, exactly."""
     return np.array([index * scale.numerator // scale.denominator for index in range(NUM_GIVEN)])
 
 

@@ -61,12 +61,12 @@ CONTINUATIONS = (
 
 
 def benchmark_windows(motion: Motion, num_frames: int, every: int) -> tuple[RootPaths, Rotations]:
-    """Cut a take into the benchmark's windows: root paths in metres and local rotations.
+    """Cut a motion into the benchmark's windows: root paths in metres and local rotations.
 
-    A window starts at every multiple of `every` for which start + window < number of frames: the comparison is strict,
-    so a window that ends with the last frame is left out. Every window is centred on its mean in x and z and rotated
-    about y so that in frame 9 the root's own y axis, along which LaFAN1's hips face, points to +x on the ground.
-    Quaternions have continuous signs over the take. Raises `ValueError` for a motion without rotations.
+    Windows start at every multiple of `every` for which start + window < number of frames; the benchmark's comparison
+    is strict. Every window is centred on its mean in x and z and rotated about y so that in frame 9 the root's own y
+    axis, along which LaFAN1's hips face, points to +x on the ground. Quaternions have continuous signs over the motion.
+    Raises `ValueError` for a motion without rotations.
     """
     if motion.local_rotations is None or motion.root_translation is None:
         raise ValueError(f"{motion.sequence_id} has no rotations, which the benchmark is about")
@@ -102,8 +102,8 @@ class PoseWindows:
 def lafan1_windows(store: Store) -> PoseWindows:
     """The benchmark's windows out of a store that holds LaFAN1's BVH files: subjects 1–4 train, subject 5 tests.
 
-    Subjects decide, not the store's split. Takes come in the order of their names, so that the first training window,
-    whose bones all poses get, is that of the first name. Raises `NoTakesError` where either set is empty.
+    The store's split is ignored. The first training window by name gives the bones of all poses. Raises `NoTakesError`
+    where either set is empty.
     """
 
     def takes(subjects: tuple[str, ...], num_frames: int) -> list[Motion]:
@@ -208,8 +208,8 @@ def _continuous(rotations: Rotations) -> Rotations:
 def measure_windows(windows: PoseWindows, questions: Sequence[Question], completer: Completer) -> Scores:
     """An encoder's L2P, L2Q (both), NPSS and MPJPE by metric and question.
 
-    Only local rotations and the root's position of its output are used: bones are those of the windows' skeleton, as
-    for the truth. Raises `MotionkitError` or `ValueError` if the encoder fails, or has positions only.
+    Only local rotations and the root's position of its output are used, on the bones of the windows' skeleton. Raises
+    `MotionkitError` or `ValueError` if the encoder fails, or has positions only.
     """
     scores: Scores = {}
     times = np.arange(windows.root_translation.shape[1], dtype=np.float64) / float(FPS)

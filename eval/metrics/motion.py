@@ -153,7 +153,8 @@ def npss(predicted: Vectors, target: Vectors) -> float:
     The distance is the L1 distance of cumulative spectra (an earth mover's distance). As in the LaFAN1 benchmark, power
     is the square of the **real part** of the Fourier coefficients, not of their modulus: figures are comparable only
     so, and depend on where a clip starts. A number without predicted power has a zero spectrum; one without true power
-    has no weight. Raises `ValueError` if nothing has power. Source: Gopalakrishnan et al. 2019, §4.2.
+    has no weight; of batches of equal length, each weighs by its true power. Raises `ValueError` if nothing has power.
+    Source: Gopalakrishnan et al. 2019, §4.2.
     """
     checked_difference(predicted, target)
     true = _power(target)
@@ -163,11 +164,6 @@ def npss(predicted: Vectors, target: Vectors) -> float:
         raise ValueError("target has no power in any number: its normalised spectrum does not exist")
     distance = np.abs(_cumulative(_power(predicted)) - _cumulative(true)).sum(axis=1)
     return float((distance * weights).sum() / total)
-
-
-def npss_weight(target: Vectors) -> float:
-    """The total true power: the weight of a batch's NPSS in the NPSS of many batches of equal length."""
-    return float(_power(target).sum())
 
 
 def _power(signal: Vectors) -> Float64[np.ndarray, "*clips frames numbers"]:
@@ -265,7 +261,7 @@ METRICS = (
     Metric("l2p", "L2P", "", False, _HARVEY, l2p, by_steps(0)),
     Metric("l2q", "L2Q", "", False, _HARVEY, l2q, by_steps(0)),
     Metric("l2q_as_signed", "L2Q (signs as they come)", "", False, _HARVEY, _SIGNED, by_steps(0)),
-    Metric("npss", "NPSS", "", False, "Gopalakrishnan et al. 2019", npss, lambda _, target: npss_weight(target)),
+    Metric("npss", "NPSS", "", False, "Gopalakrishnan et al. 2019", npss, lambda _, true: float(_power(true).sum())),
     Metric("psnr", "PSNR", "dB", True, "motionkit", psnr, by_clips),
     Metric("ssim", "SSIM", "", True, "Wang et al. 2004", ssim, by_clips),
     Metric("skating_speed", "Foot skating", "m/s", False, "Zhang et al. 2018; NeMF", skating_speed, by_steps(1)),

@@ -12,6 +12,7 @@ from eval.metrics.metric import Metric
 from eval.metrics.motion import checked_fps
 from motionkit.core.shapes import Bool, Float, Float64
 from motionkit.core.skeleton import SMPL22
+from motionkit.fields.contact.detection import runs
 
 Positions = Float[np.ndarray, "frames 22 3"]
 
@@ -123,15 +124,14 @@ def mbench_foot_floating(positions: Positions, fps: float, floor: float = 0.0) -
     touches = _mbench_contact(toes)
     root_step, relative, step = (_lengths(_mbench_steps(each)) for each in (root, toes - root, toes))
     rate = relative / (root_step + SMALL)
-    goes, moves = root_step[:, 0] >= MBENCH_REST, step > MBENCH_STILL
-    hangs = moves & ((rate < MBENCH_SLOW) | (rate > MBENCH_FAST)) & goes[:, None]
+    root_moves, moves = root_step[:, 0] >= MBENCH_REST, step > MBENCH_STILL
+    hangs = moves & ((rate < MBENCH_SLOW) | (rate > MBENCH_FAST)) & root_moves[:, None]
     count = float((touches.any(axis=1) & (hangs | ~touches).all(axis=1)).sum())
-    runs = [_runs(~touches[:, foot]) for foot in range(2)]
-    for foot, found in enumerate(runs):
-        for start, stop in found:
-            if stop - start >= MBENCH_RUN and (~goes[start:stop]).mean() <= 0.5:
+    for foot in range(2):
+        for start, stop in zip(*runs(~touches[:, foot]), strict=True):
+            if stop - start >= MBENCH_RUN and (~root_moves[start:stop]).mean() <= 0.5:
                 count += float((rate[start:stop, foot] < MBENCH_SLOW - 0.2).sum()) / 2
-    for start, stop in _runs(~(touches[:, 0] | touches[:, 1])):
+    for start, stop in zip(*runs(~(touches[:, 0] | touches[:, 1])), strict=True):
         if stop - start >= MBENCH_RUN and _turns(toes[start:stop, 0]) > 2:
             count += stop - start
     return count / len(motion)
@@ -217,12 +217,6 @@ def _mbench_contact(toes: Float64[np.ndarray, "frames 2 3"]) -> Bool[np.ndarray,
 
 def _lengths(steps: Float64[np.ndarray, "*steps 3"]) -> Float64[np.ndarray, "*steps"]:
     return np.asarray(np.linalg.norm(steps, axis=-1))
-
-
-def _runs(holds: Bool[np.ndarray, "frames"]) -> list[tuple[int, int]]:
-    """First frame and end of every run of frames that are true."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], holds, [False])).astype(np.int8)))
-    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
 def _turns(path: Float64[np.ndarray, "frames 3"]) -> int:

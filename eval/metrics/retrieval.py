@@ -47,17 +47,17 @@ def retrieval(
         raise ValueError(f"query {int(np.argmin(right.any(axis=1)))} has no right candidate")
     own = np.where(right, distances, np.inf).min(axis=1, keepdims=True)
     nearer, tied = (distances < own).sum(axis=1), distances == own
-    equals, answers = tied.sum(axis=1), (tied & right).sum(axis=1)
+    equals, relevant = tied.sum(axis=1), (tied & right).sum(axis=1)
     # The probability that none of the relevant ones is among the first `free` of the tied ones, without replacement.
     recall = []
     for rank in RECALL_RANKS:
         missed = np.ones(len(distances))
         for drawn in range(rank):
             left = np.maximum(equals - drawn, 1)
-            miss = np.where(drawn < rank - nearer, np.clip((equals - answers - drawn) / left, 0.0, 1.0), 1.0)
+            miss = np.where(drawn < rank - nearer, np.clip((equals - relevant - drawn) / left, 0.0, 1.0), 1.0)
             missed *= miss
         recall.append(float((1.0 - missed).mean()))
-    ranks = nearer + (equals + 1) / (answers + 1)
+    ranks = nearer + (equals + 1) / (relevant + 1)
     return Retrieval(np.array(recall), float(np.median(ranks)))
 
 

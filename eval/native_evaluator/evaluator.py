@@ -126,25 +126,17 @@ class NativeEvaluator:
     """A trained evaluator as a `TextMotionEvaluator`; `stage` is the one that trained it.
 
     `description` is the header of its file (settings, store fingerprint, framerates …). Embeddings of the stage `tmr`
-    have length 1, so Euclidean distances and cosines rank alike.
+    have length 1, so Euclidean distances and cosines rank alike; `pair_score` is the score of pairs that TMR reports.
     """
 
     network: EvaluatorNetwork
     description: dict[str, Any]
     fingerprint: str
     stage: str = "evaluator"
+    name: str = "native"
+    pair_score: str = ""
     fps: Fraction | None = None
     layout: str = SMPL22.name
-
-    @property
-    def name(self) -> str:
-        """Name for tables."""
-        return "tmr" if self.stage == "tmr" else "native"
-
-    @property
-    def pair_score(self) -> str:
-        """The score of pairs of unit vectors that TMR and Kimodo report; empty for the native evaluator."""
-        return "tmr_score" if self.stage == "tmr" else ""
 
     def remark_at(self, fps: Fraction) -> str:
         """A remark if it was not trained near this framerate, else empty."""
@@ -218,4 +210,5 @@ def load_evaluator(run: Path, stage: str = "evaluator") -> NativeEvaluator:
         network = EvaluatorNetwork(config, int(description["text_dimension"]))
         network.load_state_dict(tensors)
     fingerprint = weights_digest(json.dumps(description, sort_keys=True), tensors)
-    return NativeEvaluator(network.eval().requires_grad_(False), description, fingerprint, stage)
+    names = ("tmr", "tmr_score") if stage == "tmr" else ("native", "")
+    return NativeEvaluator(network.eval().requires_grad_(False), description, fingerprint, stage, *names)

@@ -34,7 +34,7 @@ from motionkit.training.text import embed_texts, load_text_encoder
 
 @dataclass(frozen=True, eq=False)
 class ClipBank:
-    """Described stretches of motion at one framerate; `sentences` are the rows of each one's sentence embeddings."""
+    """Described windows of motion at one framerate; `sentences` are the rows of each one's sentence embeddings."""
 
     fps: Fraction
     motions: Ragged
@@ -77,10 +77,10 @@ def build_bank(
         positions = resample_positions(np.asarray(sequences[index]), rates[index], fps)
         for (start, end), texts in described.items():
             first, last = (None if each is None else ceil(each * float(fps) - 1e-6) for each in (start, end))
-            if len(stretch := positions[first:last]) >= MIN_POSES:
-                motions.append(stretch)
+            if len(described_positions := positions[first:last]) >= MIN_POSES:
+                motions.append(described_positions)
                 sentences.append(np.array([row_of.setdefault(text, len(row_of)) for text in texts]))
-                seconds += len(stretch) / float(fps)
+                seconds += len(described_positions) / float(fps)
     return ClipBank(fps, Ragged.of(motions), tuple(sentences)) if motions else None
 
 
@@ -163,7 +163,7 @@ def train_evaluator(stage: str, context: StageContext, config: EvaluatorConfig) 
     cache = open_cache(store, layout=SMPL22.name, where=training.where or None)
     rows = store.sequences_table["captions"].take(store.rows_of(cache.sequence_index)).to_pylist()
     captions = [[Caption(**caption) for caption in some] for some in rows]
-    rates = [Fraction(*rate) for rate in zip(cache.fps_numerator.tolist(), cache.fps_denominator.tolist(), strict=True)]
+    rates = list(map(cache.exact_fps, range(len(captions))))
     folder = context.begin(stage, config, store_fingerprint=store.fingerprint)
     if not any(caption.text.strip() for some in captions for caption in some):
         warn(f"{folder.path}: the training split has no captions, which an evaluator of text and motion learns from")

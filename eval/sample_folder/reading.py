@@ -27,9 +27,9 @@ from motionkit.features.statistics import Statistics
 from motionkit.io import annotations, humanml3d, joints_npy, npy, source_file, texts
 from motionkit.io.body_frame import (
     GIVEN_AXES,
-    TRUNK_AND_LEGS,
     TYPICAL_HEIGHT_METRES,
     UNITS,
+    bone_lengths,
     infer_up,
     is_plausible,
     log_lines,
@@ -157,12 +157,6 @@ def some_poses(
     """A few poses of each motion, evenly spaced."""
     share = np.linspace(0, 1, POSES_PER_MOTION)
     return np.stack([each[np.rint(share * (len(each) - 1)).astype(np.int64)] for each in sequences])
-
-
-def bone_lengths(joints: Float[np.ndarray, "*batch 22 3"]) -> Float[np.ndarray, "*batch bones"]:
-    """Lengths of the bones from the ankles to the head; their sum is 1.45 m for an average person."""
-    first, second = np.array([(SMPL22.index(a), SMPL22.index(b)) for a, b in TRUNK_AND_LEGS]).T
-    return np.asarray(np.linalg.norm(joints[..., first, :] - joints[..., second, :], axis=-1))
 
 
 def _variation(bones: Float[np.ndarray, "*batch poses bones"]) -> float:

@@ -101,11 +101,10 @@ def real_motion(store: Store, split: str, where: str | None = None, layout: str 
     """
     cache = open_cache(store, layout=layout, where=of_split_and(split, where))
     table = store.columns("sequence_id", "captions", "action").loc[cache.sequence_index]
-    rates = zip(cache.fps_numerator.tolist(), cache.fps_denominator.tolist(), strict=True)
     return RealMotion(
         name=f"real ({split})",
         sequences=Ragged(cache.positions, cache.start_row.astype(np.int64), cache.num_frames.astype(np.int64)),
-        fps=tuple(Fraction(numerator, denominator) for numerator, denominator in rates),
+        fps=tuple(map(cache.exact_fps, range(len(table)))),
         sequence_ids=tuple(table["sequence_id"].astype(str)),
         captions=tuple(str(captions[0]["text"]) if len(captions) else "" for captions in table["captions"]),
         actions=tuple(table["action"].astype(str)),

@@ -53,7 +53,7 @@ class Scored:
         """Whether clip-FID lies above a floor's interval."""
         return self.clip_fid.value > floor.value + floor.ci95
 
-    def is_seen(self, floor: Number) -> bool:
+    def is_detected(self, floor: Number) -> bool:
         """Whether clip-FID lies above a floor's interval, or a figure of the profile outside of what is real."""
         return self.is_above(floor) or not self.has_real_detail
 
@@ -71,16 +71,16 @@ def spearman(clean: Scored, levels: Levels) -> float:
     return float(spearmanr(range(len(means)), means).statistic)
 
 
-def first_seen(clean: Scored, levels: Levels) -> float | None:
+def first_detected(clean: Scored, levels: Levels) -> float | None:
     """The mildest strength from which on the damage is seen; None if the severest is not."""
-    seen = list(takewhile(lambda strength: levels[strength].is_seen(clean.clip_fid), list(levels)[::-1]))
-    return seen[-1] if seen else None
+    detected = list(takewhile(lambda strength: levels[strength].is_detected(clean.clip_fid), list(levels)[::-1]))
+    return detected[-1] if detected else None
 
 
 def won(game: Game) -> list[str]:
     """The disguises that neither clip-FID, beyond the plain corruption's interval, nor the profile sees."""
     honest, *cheats = game
-    return [name for name in cheats if not game[name].is_seen(game[honest].clip_fid)]
+    return [name for name in cheats if not game[name].is_detected(game[honest].clip_fid)]
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Calibration:
         ceilings = {MIRRORED: self.disjoint_floor.value}
         ceiling = MAX_FLAT_RATIO * self.clean.clip_fid.value
         return (
-            all(first_seen(self.clean, levels) is not None for levels in self.graded.values())
+            all(first_detected(self.clean, levels) is not None for levels in self.graded.values())
             and all(
                 spearman(self.clean, levels) >= MIN_SPEARMAN
                 for family, levels in self.graded.items()
@@ -209,7 +209,7 @@ def _blocks(source: str, by_column: Mapping[str, Calibration]) -> list[Block]:
     levels = [_level(family, strength) for family in FAMILIES for strength in family.levels]
     ratios: dict[str, dict[str, Cell]] = {CLEAN: {}, DISJOINT: {}}
     ranks: dict[str, dict[str, Cell]] = {}
-    seen: dict[str, list[str]] = {}
+    thresholds: dict[str, list[str]] = {}
     for column, each in by_column.items():
         floor = each.clean.clip_fid
         ratios[CLEAN][column] = Cell(floor.value, floor.ci95)
@@ -217,8 +217,8 @@ def _blocks(source: str, by_column: Mapping[str, Calibration]) -> list[Block]:
         for family, graded in each.graded.items():
             scores |= {_level(family, level): of.clip_fid for level, of in graded.items()}
             ranks.setdefault(family.name, {})[column] = Cell(spearman(each.clean, graded))
-            first = first_seen(each.clean, graded)
-            seen.setdefault(family.name, []).append(
+            first = first_detected(each.clean, graded)
+            thresholds.setdefault(family.name, []).append(
                 f"{first:g} {family.unit} ({column})" if first else f"none ({column})"
             )
         for name, score in scores.items():
@@ -227,7 +227,7 @@ def _blocks(source: str, by_column: Mapping[str, Calibration]) -> list[Block]:
     order = [name for name in ratios if name not in levels] + [name for name in levels if name in ratios]
     rows = tuple(Row(name, "reference", ratios[name]) for name in order if ratios[name])
     ranked = tuple(
-        Row(name, "reference", cells, f"seen by clip-FID or the profile from {', '.join(seen[name])}")
+        Row(name, "reference", cells, f"seen by clip-FID or the profile from {', '.join(thresholds[name])}")
         for name, cells in ranks.items()
     )
     note = ", ".join(f"{column} {'passes' if each.passes else 'FAILS'}" for column, each in by_column.items())

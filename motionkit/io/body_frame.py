@@ -52,7 +52,7 @@ def infer_unit(skeleton: Skeleton) -> tuple[float, str] | None:
 def standing_metres(skeleton: Skeleton, joint_positions: Float32[np.ndarray, "frames joints 3"]) -> float:
     """Median length from the ankles along the bones to the head; raises `SkeletonMapError` for unknown joints."""
     body = np.matmul(joint_map(skeleton, SMPL22.name).weights, joint_positions)
-    return float(np.median(_chain_lengths(body)))
+    return float(np.median(bone_lengths(body).sum(axis=-1)))
 
 
 def check_unit(
@@ -82,10 +82,10 @@ def logged_unit(operations: Sequence[str]) -> tuple[float, str]:
     return (1.0, "metres") if match is None else (float(match[1]), match[2])
 
 
-def _chain_lengths(body: Float32[np.ndarray, "frames 22 3"]) -> Float32[np.ndarray, "frames"]:
+def bone_lengths(joints: Float[np.ndarray, "*poses 22 3"]) -> Float[np.ndarray, "*poses bones"]:
+    """Lengths of the bones from the ankles to the head; their sum is 1.45 m for an average person."""
     first, second = np.array([(SMPL22.index(a), SMPL22.index(b)) for a, b in TRUNK_AND_LEGS]).T
-    bones = np.linalg.norm(body[:, first] - body[:, second], axis=-1)
-    return np.asarray(bones.sum(axis=-1))
+    return np.asarray(np.linalg.norm(joints[..., first, :] - joints[..., second, :], axis=-1))
 
 
 def _factor(size: float, typical: float) -> float:
@@ -98,7 +98,7 @@ def _size(skeleton: Skeleton) -> tuple[float, float, str]:
     except SkeletonMapError:
         return _longest_chain(skeleton), TYPICAL_CHAIN_METRES, "the longest chain"
     rest = weights @ rest_positions(skeleton)
-    return float(_chain_lengths(rest[None])[0]), TYPICAL_HEIGHT_METRES, "ankle to head"
+    return float(bone_lengths(rest).sum()), TYPICAL_HEIGHT_METRES, "ankle to head"
 
 
 def _longest_chain(skeleton: Skeleton) -> float:

@@ -24,13 +24,13 @@ from eval.report.results import (
     of_interest,
     pairs_of,
     read_result,
-    said,
     samples_only,
     score_differences,
     to_csv,
     to_html,
     to_latex,
     to_markdown,
+    verdicts,
     write_result,
 )
 from eval.sets.sets import RowId, Variant
@@ -211,11 +211,11 @@ def block_of(**fids: float) -> Block:
 
 def test_better_is_what_the_metric_says() -> None:
     lower, higher, same = Number(-2.0, 1.0), Number(2.0, 1.0), Number(0.5, 1.0)
-    assert said({"FID": lower, "Accuracy": lower}, MEASURES) == "better: FID; worse: Accuracy"
-    assert said({"FID": same, "Accuracy": higher, "D": higher}, MEASURES) == (
+    assert verdicts({"FID": lower, "Accuracy": lower}, MEASURES) == "better: FID; worse: Accuracy"
+    assert verdicts({"FID": same, "Accuracy": higher, "D": higher}, MEASURES) == (
         "better: Accuracy; higher: D; not told apart: FID"
     )
-    assert said({"20 fps": lower, "60 fps": lower}, (measure("fid"),)) == "better: 20 fps, 60 fps"
+    assert verdicts({"20 fps": lower, "60 fps": lower}, (measure("fid"),)) == "better: 20 fps, 60 fps"
 
 
 def test_rows_without_resamplings_have_no_difference() -> None:

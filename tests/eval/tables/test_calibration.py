@@ -10,7 +10,7 @@ from eval.clip_fid.score import Comparison, Protocol, fit_on
 from eval.metrics.number import Number
 from eval.sets.damage import NUM_GAMES
 from eval.sets.sets import SampleSet, sample_set
-from eval.tables.calibration import MIRRORED, Scored, calibrate, first_seen, spearman, won
+from eval.tables.calibration import MIRRORED, Scored, calibrate, first_detected, spearman, won
 from motionkit.core.skeleton import SMPL22
 
 FPS = Fraction(40)
@@ -27,8 +27,8 @@ def levels(*means: float) -> dict[float, Scored]:
 
 def test_damage_is_seen_from_a_strength_on_and_ranked() -> None:
     clean = scored(1.0)
-    assert first_seen(clean, levels(1.1, 2.0, 5.0)) == 0.002
-    assert first_seen(clean, levels(3.0, 1.05)) is None
+    assert first_detected(clean, levels(1.1, 2.0, 5.0)) == 0.002
+    assert first_detected(clean, levels(3.0, 1.05)) is None
     assert spearman(clean, levels(1.1, 2.0, 5.0)) == pytest.approx(1.0)
     assert spearman(clean, levels(3.0, 2.0, 5.0, 4.0)) < 0.95
 
@@ -67,7 +67,7 @@ def test_the_descriptor_sees_jitter_and_a_blind_feature_set_is_found_out(monkeyp
     real = takes()
     seen = calibrate(Comparison(real, fit_on(real), PROTOCOL), None)
     families = {family.name: of for family, of in seen.graded.items()}
-    assert first_seen(seen.clean, families["jitter"]) and spearman(seen.clean, families["foot-sliding"]) > 0.95
+    assert first_detected(seen.clean, families["jitter"]) and spearman(seen.clean, families["foot-sliding"]) > 0.95
     assert tuple(families["low-pass"]) == (10.0, 5.0, 3.0)
     assert set(seen.flat) == {"yaw", "translation", MIRRORED, "sinc interpolation by half a frame"}
     assert not seen.games and seen.clean.detail is None  # no detail without training motion
