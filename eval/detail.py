@@ -31,7 +31,7 @@ from eval.clip_fid.score import (
     rate_of_change,
     samples_at_one_framerate,
 )
-from eval.metrics.number import Resampling, units_of
+from eval.metrics.number import units_of
 from eval.sets.sets import SampleSet
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float32, Float64
@@ -272,7 +272,7 @@ class RealDetail:
     weights: Weights
     known: Mapping[SampleSet, MotionFigures]
     ranges: Float64[np.ndarray, "2 figures"] | None
-    resampling: Resampling
+    seed: int
 
     @classmethod
     def of(cls, real: SampleSet, train: SampleSet, seed: int = 0) -> "RealDetail":
@@ -287,7 +287,7 @@ class RealDetail:
         if not figures.timing[:, 0].sum():
             raise ClipError(f"{real.name} at {real.fps} fps: no fast motion follows slow motion; is it frozen?")
         known = {train: of_training, real: figures}
-        return cls(real, weights, known, _ranges_of_halves(figures, real, seed), Resampling(seed=seed))
+        return cls(real, weights, known, _ranges_of_halves(figures, real, seed), seed)
 
     @property
     def real_slope(self) -> float:
@@ -305,7 +305,7 @@ class RealDetail:
         )[0]
         # How often each motion is drawn in every resampling: paired between the sets by the takes' names.
         units = [units_of(each.take_names, each.generations) for each in (samples, self.real)]
-        weights, real_weights = (each.weights(self.resampling)[:, each.unit] for each in units)
+        weights, real_weights = (each.weights(seed=self.seed)[:, each.unit] for each in units)
         drawn = weights.any(axis=1) & real_weights.any(axis=1)
         draws = _relative(figures.averages(weights[drawn]), real.averages(real_weights[drawn]))
         intervals = np.nanpercentile(draws, (2.5, 97.5), axis=0)

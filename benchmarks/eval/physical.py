@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from eval.metrics.metric import Metric
-from eval.metrics.number import Resampling, half_width
+from eval.metrics.number import half_width
 from eval.report.results import (
     Block,
     Cell,
@@ -130,7 +130,7 @@ def framerate_rows(metrics: Sequence[Metric], columns: Mapping[str, Measured]) -
     """A row for each metric, with the ratio of the last framerate to the first."""
     rows = []
     for metric in metrics:
-        means = {name: each.mean(metric, Resampling()) for name, each in columns.items()}
+        means = {name: each.mean(metric) for name, each in columns.items()}
         cells = {name: cell_of(mean) for name, mean in means.items() if mean is not None}
         first, last = means[FIRST], means[LAST]
         if first is not None and last is not None and first.value:
@@ -145,7 +145,7 @@ def game_rows(metrics: Sequence[Metric], columns: Mapping[str, Measured]) -> lis
     """A row for each metric, without intervals: takes are the same in every column."""
     rows = []
     for metric in metrics:
-        means = {name: each.mean(metric, Resampling()) for name, each in columns.items()}
+        means = {name: each.mean(metric) for name, each in columns.items()}
         cells = {name: Cell(mean.value) for name, mean in means.items() if mean is not None}
         rows.append(Row(row_name(metric), "reference", cells))
     return rows

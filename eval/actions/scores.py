@@ -11,7 +11,6 @@ from eval.metrics.actions import accuracy, diversity, multimodality_by_class, sh
 from eval.metrics.distributions import fit_gaussian, frechet_distance
 from eval.metrics.number import (
     Resampled,
-    Resampling,
     Scores,
     resampled_fid,
     resampled_mean_distance,
@@ -119,7 +118,7 @@ def _resampled(
     """Every metric's bootstrap values; motions are resampled jointly in all sets, and with them their draws."""
     takes = [[str(row) for row in range(len(draw.labels))] for draw in draws]
     units = units_of_draws(takes)
-    weights, unit = units.weights(Resampling()), units.unit
+    weights, unit = units.weights(), units.unit
     features = np.concatenate([draw.features for draw in draws]).astype(np.float64)
     labels = np.concatenate([draw.labels for draw in draws])
     shares = np.concatenate([shares_of_hits(draw.scores, draw.labels) for draw in draws])

@@ -40,7 +40,6 @@ from eval.metrics.number import (
     RESAMPLINGS,
     Number,
     Resampled,
-    Resampling,
     UnitSums,
     blocks_for,
     over_replications,
@@ -551,7 +550,7 @@ class Comparison:
                 sums.add(features, clips.sequence)
             on_replication()
         with _blas().limit(limits=1, user_api="blas"):
-            fids = resampled_fids(by_take[0], by_take[1:], Resampling(protocol.resamplings, protocol.seed))
+            fids = resampled_fids(by_take[0], by_take[1:], protocol.resamplings, protocol.seed)
         of_rows = dict(zip(resampled, fids, strict=True))
         return {
             name: self._summarised(each, of_rows.get(name, ()), name in subsets) for name, each in replications.items()

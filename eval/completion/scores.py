@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from eval.completion.encoders import Completer
-from eval.metrics.number import Number, Resampling, quotients, with_takes
+from eval.metrics.number import Number, quotients, resampling_weights, with_takes
 from eval.metrics.registry import find_metric
 from eval.report.results import Block, Cell, Measure, Row, cell_of, differences_block, measure, score_differences
 from eval.sets.sets import RowId
@@ -44,7 +44,7 @@ def mean_over_takes(by_take: Mapping[str, Sequence[float]]) -> Number:
     mean = sum(totals.tolist()) / sum(sizes.tolist())
     if len(by_take) < 2:
         return Number(mean)
-    weights = Resampling().weights([f"take {take}" for take in by_take])
+    weights = resampling_weights([f"take {take}" for take in by_take])
     return with_takes(mean, quotients(weights @ totals, weights @ sizes))
 
 

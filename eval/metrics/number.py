@@ -134,17 +134,9 @@ MOST_PRODUCTS = 1 << 25
 FEWEST_BLOCKS, MOST_BLOCKS = 32, 1024
 
 
-@dataclass(frozen=True)
-class Resampling:
-    """Number of resamplings, and their seed."""
-
-    count: int = RESAMPLINGS
-    seed: int = 0
-
-    def weights(self, names: Sequence[str]) -> Weights:
-        """Counts of the named takes in each resampling: the same numbers for a name in any set."""
-        columns = [_appearances(name, self.count, self.seed) for name in names]
-        return np.stack(columns, axis=1) if columns else np.zeros((self.count, 0))
+def resampling_weights(names: Sequence[str], count: int = RESAMPLINGS, seed: int = 0) -> Weights:
+    """Counts of the named takes in each resampling: the same numbers for a name in any set."""
+    return np.stack([_appearances(name, count, seed) for name in names], axis=1)
 
 
 @lru_cache(maxsize=1 << 14)
@@ -165,13 +157,14 @@ class Units:
     takes: tuple[str, ...]
     generations: tuple[str, ...]
 
-    def weights(self, resampling: Resampling) -> Weights:
-        """Count of each unit: its take's, times its generation's if there are several (Owen 2007)."""
+    def weights(self, count: int = RESAMPLINGS, seed: int = 0) -> Weights:
+        """Counts of each unit: its take's, times its generation's if there are several (Owen 2007)."""
         takes, place = np.unique(self.takes, return_inverse=True)
-        weights = resampling.weights([f"take {name}" for name in takes.tolist()])[:, place]
+        weights = resampling_weights([f"take {name}" for name in takes.tolist()], count, seed)[:, place]
         generations, place = np.unique(self.generations, return_inverse=True)
         if len(generations) > 1:
-            weights = weights * resampling.weights([f"generation {name}" for name in generations.tolist()])[:, place]
+            names = [f"generation {name}" for name in generations.tolist()]
+            weights = weights * resampling_weights(names, count, seed)[:, place]
         return weights
 
 
@@ -245,11 +238,13 @@ def quotients(totals: Counts, counts: Counts) -> Resampled:
     return tuple(total / count if count else None for total, count in pairs)
 
 
-def resampled_fids(real: UnitSums, others: Sequence[UnitSums], resampling: Resampling) -> list[Resampled]:
+def resampled_fids(
+    real: UnitSums, others: Sequence[UnitSums], count: int = RESAMPLINGS, seed: int = 0
+) -> list[Resampled]:
     """FID of every other set against the real one in every resampling of their takes."""
-    weights = [sums.units.weights(resampling) for sums in (real, *others)]
+    weights = [sums.units.weights(count, seed) for sums in (real, *others)]
     rows: list[list[float | None]] = [[] for _ in others]
-    for first in range(0, resampling.count, GAUSSIANS_AT_ONCE):
+    for first in range(0, count, GAUSSIANS_AT_ONCE):
         real_weights, *other_weights = (each[first : first + GAUSSIANS_AT_ONCE] for each in weights)
         real_counts, real_means, real_covariances = real.gaussians(real_weights)
         factors = factors_of(real_covariances)
@@ -276,7 +271,7 @@ def resampled_fid(
             return ()
         sides.append(UnitSums(units, real.mean(axis=0)))
         sides[-1].add(features, np.arange(len(features)))
-    return resampled_fids(sides[0], sides[1:], Resampling())[0]
+    return resampled_fids(sides[0], sides[1:])[0]
 
 
 PAIRS = 4096

@@ -4,8 +4,6 @@ R-Precision (text-to-motion, final_evaluations.py) ranks for each text the motio
 the reverse, for each motion its texts. Both come from one matrix of distances per pool; a table says which it used.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.distance import cdist
 
@@ -19,22 +17,12 @@ RANKS = 3
 Embeddings = Float[np.ndarray, "pairs numbers"]
 
 
-@dataclass(frozen=True, eq=False)
-class Retrieval:
-    """`recall`: fraction of queries with a relevant candidate among the k nearest, for each k of `RECALL_RANKS`.
-
-    `median_rank` is the median over the queries of the rank of their nearest relevant candidate, from 1.
-    """
-
-    recall: Float64[np.ndarray, "ranks"]
-    median_rank: float
-
-
 def retrieval(
     distances: Float[np.ndarray, "queries candidates"], right: Bool[np.ndarray, "queries candidates"] | None = None
-) -> Retrieval:
-    """Rank every query's candidates by distance and find the first relevant one.
+) -> tuple[Float64[np.ndarray, "ranks"], float]:
+    """Recall at each k of `RECALL_RANKS`, and the median rank, from 1, of the nearest relevant candidate.
 
+    Recall at k is the share of queries with a relevant candidate among the k nearest.
     `right` says which candidates are relevant to a query; by default candidate i to query i alone. Candidates at one
     distance share their ranks: a hit counts by its expectation over their random order, so an evaluator that maps
     everything to one point scores chance. Raises `ValueError` for distances that are not finite, and for a query
@@ -58,7 +46,7 @@ def retrieval(
             missed *= miss
         recall.append(float((1.0 - missed).mean()))
     ranks = nearer + (equals + 1) / (relevant + 1)
-    return Retrieval(np.array(recall), float(np.median(ranks)))
+    return np.array(recall), float(np.median(ranks))
 
 
 def clip_score(queries: Embeddings, candidates: Embeddings) -> float:

@@ -40,14 +40,8 @@ ABLATED_SCALE = Fraction(4)
 UNTRAINED = tuple(row for row in INTERPOLATION if row.name in ("SLERP", "cubic spline"))
 
 
-@dataclass(frozen=True, eq=False)
-class Clips:
-    """One data set's clips, what measures a row on them, and a remark on them."""
-
-    label: str
-    fps: Fraction
-    remark: str
-    measure: Callable[[Completer], Scores]
+# One data set's clips: their label, a remark on them, and what measures a row on them.
+Clips = tuple[str, str, Callable[[Completer], Scores]]
 
 
 def _scored(
@@ -65,16 +59,16 @@ def _scored(
     for data_set in data_sets:
         try:
             with task(config.on_progress, f"clips of {data_set.name}"):
-                clips = clips_of(data_set)
+                label, remark, measure = clips_of(data_set)
         except NoTakesError as error:
             without.append(f"{data_set.label}: {error}")
             continue
         rows: dict[str, Scores] = {}
-        for each in tracked(config.on_progress, clips.label, completers, len(completers)):
-            with config.missing.skipping(f"{clips.label}, {each.name}", (MotionkitError, ValueError)):
-                rows[each.name] = clips.measure(each)
-        scopes.append(Scope(clips.label, clips.fps, rows))
-        remarks.append(clips.remark)
+        for each in tracked(config.on_progress, label, completers, len(completers)):
+            with config.missing.skipping(f"{label}, {each.name}", (MotionkitError, ValueError)):
+                rows[each.name] = measure(each)
+        scopes.append(Scope(label, data_set.fps, rows))
+        remarks.append(remark)
     if not scopes:
         raise NoTakesError("; ".join(without))
     config.missing.add(*without)
@@ -111,7 +105,7 @@ def _interpolated(
         if num_takes < SMALL_TAKES:
             remark += f". **Small scale**: fewer than {SMALL_TAKES} takes say little about others."
         measure = partial(interpolation.measure_interpolation, clips, interpolation.measure_scale(training), scales)
-        return Clips(data_set.label, data_set.fps, remark, measure)
+        return data_set.label, remark, measure
 
     caption = (
         f"Of every clip {interpolation.NUM_GIVEN} real frames are given, all frames between them are predicted and "
@@ -284,7 +278,7 @@ def window_table(table: WindowTable, config: EvalConfig, store: Store) -> Conten
         else:
             of_set = windows.data_set_windows(store, data_set, config.split, config.where)
         measure = partial(windows.measure_windows, of_set, table.questions)
-        return Clips(of_set.name, windows.FPS, f"{of_set.name}: {of_set.remark}", measure)
+        return of_set.name, f"{of_set.name}: {of_set.remark}", measure
 
     data_sets = (each for each in data_sets_of(store) if each.fps == windows.FPS)
     scopes, content = _scored(table.caption, clips_of, data_sets, completers, config)

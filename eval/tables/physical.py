@@ -11,7 +11,7 @@ from fractions import Fraction
 import numpy as np
 
 from eval.metrics.metric import Metric
-from eval.metrics.number import Number, Resampling, Units, quotients, units_of, with_takes
+from eval.metrics.number import Number, Units, quotients, units_of, with_takes
 from eval.metrics.physical import METRICS, ground_height
 from eval.metrics.physical_published import METRICS as PUBLISHED
 from eval.metrics.registry import find_metric
@@ -47,19 +47,19 @@ class Measured:
     seconds: Float64[np.ndarray, "motions"]
     units: Units
 
-    def mean(self, metric: Metric, resampling: Resampling) -> Number | None:
+    def mean(self, metric: Metric, seed: int = 0) -> Number | None:
         """The mean over motions, weighted by seconds; None if none has the metric."""
         values = self.values[metric.name]
         seconds = np.where(np.isfinite(values), self.seconds, 0.0)
         if not seconds.any():
             return None
         sums = [np.bincount(self.units.unit, each) for each in (seconds * np.nan_to_num(values), seconds)]
-        resampled = quotients(*(self.units.weights(resampling) @ each for each in sums))
+        resampled = quotients(*(self.units.weights(seed=seed) @ each for each in sums))
         return with_takes(float(sums[0].sum() / sums[1].sum()), resampled)
 
-    def means(self, metrics: Sequence[Metric], resampling: Resampling) -> dict[str, Number]:
+    def means(self, metrics: Sequence[Metric], seed: int) -> dict[str, Number]:
         """The mean of every metric that a motion has, by title."""
-        means = {metric.title: self.mean(metric, resampling) for metric in metrics}
+        means = {metric.title: self.mean(metric, seed) for metric in metrics}
         return {title: mean for title, mean in means.items() if mean is not None}
 
 
@@ -116,8 +116,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
             ("Per second", OURS, NOTE),
             ("By the field's definitions", PER_FRAME, PUBLISHED_NOTE),
         ):
-            resampling = Resampling(seed=config.seed)
-            means = {row: each.means(metrics, resampling) for row, each in rows.items()}
+            means = {row: each.means(metrics, config.seed) for row, each in rows.items()}
             shown = [metric for metric in metrics if any(metric.title in row for row in means.values())]
             block = Block(
                 f"{title}, at {label(column.fps)}",

@@ -15,11 +15,11 @@ from eval.metrics.distributions import fid_infinity, fit_gaussian, frechet_dista
 from eval.metrics.number import (
     Number,
     Resampled,
-    Resampling,
     Scores,
     over_replications,
     resampled_fid,
     resampled_mean_distance,
+    resampling_weights,
     units_of_draws,
     weighted_means,
 )
@@ -94,14 +94,14 @@ class PairTerms:
 
     def resampled_means(self) -> dict[str, Resampled]:
         """R-Precision and MM-Dist in the bootstrap over takes."""
-        unit, weights = self._units.unit[np.concatenate(self._rows)], self._units.weights(Resampling())
+        unit, weights = self._units.unit[np.concatenate(self._rows)], self._units.weights()
         return {name: weighted_means(np.concatenate(values), unit, weights) for name, values in self._values.items()}
 
     def resampled(self, real: TextMotionPairs, pair_score: str) -> dict[str, Resampled]:
         """Every metric in the bootstrap over takes; none if there is a single take."""
         if len(set(self._units.takes)) < 2:
             return {}
-        unit, weights = self._units.unit, self._units.weights(Resampling())
+        unit, weights = self._units.unit, self._units.weights()
         motions = np.concatenate([draw.motions for draw in self._draws]).astype(np.float64)
         values = self.resampled_means() | {
             "fid": resampled_fid(real.motions.astype(np.float64), real.take_names, motions, self._takes),
@@ -219,7 +219,7 @@ def _add_multimodality(repeated: Repeated, protocol: TextMotionProtocol, seed: i
         scores.add(rule.metric, function(chosen, rng=rng))
     if min(texts, generations) > 1:
         distances = np.linalg.norm(repeated - np.roll(repeated, 1, axis=1), axis=-1).mean(axis=1)
-        weights = Resampling().weights([f"text {number}" for number in range(texts)])
+        weights = resampling_weights([f"text {number}" for number in range(texts)])
         scores.resampled[rule.metric] = weighted_means(distances, np.arange(texts), weights)
 
 
@@ -248,11 +248,12 @@ def score_retrieval(
             }
             for direction in rule.directions:
                 queries, candidates = (side[rows] for side in sides[direction])
-                ranked = retrieval(distance(queries, candidates), None if same is None else same[np.ix_(rows, rows)])
+                relevant = None if same is None else same[np.ix_(rows, rows)]
+                recall, median_rank = retrieval(distance(queries, candidates), relevant)
                 suffix = SUFFIXES[direction]
-                for rank, share in zip(RECALL_RANKS, ranked.recall.tolist(), strict=True):
+                for rank, share in zip(RECALL_RANKS, recall.tolist(), strict=True):
                     values.setdefault(f"recall_at_{rank}{suffix}", []).append(share)
-                values.setdefault(f"median_rank{suffix}", []).append(ranked.median_rank)
+                values.setdefault(f"median_rank{suffix}", []).append(median_rank)
     return {name: over_replications(each) for name, each in values.items()}
 
 

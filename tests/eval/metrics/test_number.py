@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from eval.metrics.distributions import fit_gaussian
 from eval.metrics.number import (
     Number,
-    Resampling,
     UnitSums,
     blocks_for,
     half_width,
     over_replications,
+    resampling_weights,
     units_of,
     weighted_means,
     with_takes,
@@ -32,22 +32,21 @@ def takes_of(values: list[int]) -> list[str]:
 
 
 def test_a_take_is_drawn_as_often_wherever_it_is_and_once_on_average() -> None:
-    resampling = Resampling(count=4000)
-    first, second = resampling.weights(["a", "b"]), resampling.weights(["c", "b", "a"])
+    first, second = resampling_weights(["a", "b"], 4000), resampling_weights(["c", "b", "a"], 4000)
     np.testing.assert_array_equal(first, second[:, [2, 1]])
     assert not np.array_equal(first[:, 0], first[:, 1])
     np.testing.assert_allclose([first.mean(), first.var()], 1.0, atol=0.06)
-    assert not np.array_equal(first, Resampling(count=4000, seed=1).weights(["a", "b"]))
+    assert not np.array_equal(first, resampling_weights(["a", "b"], 4000, seed=1))
 
 
 def test_generations_are_drawn_whole_beside_takes() -> None:
     units = units_of(["a", "a", "b", "b", "a"], [0, 1, 0, 1, 0])
     np.testing.assert_array_equal(units.unit, [0, 1, 2, 3, 0])
-    weights = units.weights(Resampling())
+    weights = units.weights()
     ratio = weights[:, 0] * weights[:, 3] - weights[:, 1] * weights[:, 2]
     np.testing.assert_array_equal(ratio, 0.0)  # a product of what its take and its generation count
     one = units_of(["a", "b"], [0, 0])
-    np.testing.assert_array_equal(one.weights(Resampling()), units_of(["a", "b"]).weights(Resampling()))
+    np.testing.assert_array_equal(one.weights(), units_of(["a", "b"]).weights())
 
 
 def test_many_takes_are_drawn_in_blocks_that_depend_on_their_names_alone() -> None:
@@ -77,7 +76,7 @@ def test_the_interval_of_a_mean_is_that_of_its_takes_and_not_of_its_values() -> 
     rng = np.random.default_rng(1)
     takes = rng.normal(size=200)
     values, unit = np.repeat(takes, 30) + 0.01 * rng.normal(size=6000), np.repeat(np.arange(200), 30)
-    weights = units_of(takes_of(list(range(200)))).weights(Resampling(count=1000))
+    weights = units_of(takes_of(list(range(200)))).weights(1000)
     width = half_width(weighted_means(values, unit, weights))
     assert width == pytest.approx(1.96 * takes.std() / np.sqrt(200), rel=0.1)
     assert half_width((None, 1.0)) is None
@@ -87,7 +86,7 @@ def test_paired_rows_are_distinguished_where_unpaired_ones_are_not() -> None:
     rng = np.random.default_rng(2)
     hard = 10.0 * rng.normal(size=50)
     rows = [hard + shift + 0.1 * rng.normal(size=50) for shift in (0.0, -0.5)]
-    weights = units_of(takes_of(list(range(50)))).weights(Resampling())
+    weights = units_of(takes_of(list(range(50)))).weights()
     resampled = [weighted_means(row, np.arange(50), weights) for row in rows]
     means = [float(row.mean()) for row in rows]
     difference = with_takes(means[1], resampled[1]).less(with_takes(means[0], resampled[0]))

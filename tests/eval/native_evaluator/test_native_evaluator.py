@@ -116,7 +116,7 @@ def test_it_finds_the_motions_of_captions(evaluator: NativeEvaluator) -> None:
     takes = [captioned(kind, 20, 100) for kind in range(KINDS)]
     samples = sample_set("held out", Fraction(20), [each.joint_positions for each in takes], list("abcdefghijkl"))
     motions, texts = evaluator.embed_motions(samples), evaluator.embed_texts([each.captions[0] for each in takes])
-    assert retrieval(np.linalg.norm(texts[:, None] - motions[None], axis=-1)).recall[0] > 0.7
+    assert retrieval(np.linalg.norm(texts[:, None] - motions[None], axis=-1))[0][0] > 0.7
     assert evaluator.layout == "smpl22"
     if evaluator.stage == "tmr":
         assert (evaluator.name, evaluator.pair_score) == ("tmr", "tmr_score")

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.metrics.number import Resampling
 from eval.metrics.physical import slide_speed
 from eval.metrics.registry import find_metric
 from eval.sets.sets import sample_set
@@ -79,8 +78,8 @@ def test_a_mean_weighs_motions_by_their_seconds_and_leaves_out_those_without(sto
     speeds = found.values["slide_speed"]
     alone = [slide_speed(walking, 30), slide_speed(drifting[:61], 30)]
     assert speeds[:2] == pytest.approx(alone, abs=1e-11) and np.isnan(speeds[2])
-    mean = found.mean(find_metric("slide_speed"), Resampling())
+    mean = found.mean(find_metric("slide_speed"))
     seconds = np.array([len(walking), 61]) / 30.0
     assert mean.value == pytest.approx(float((speeds[:2] * seconds).sum() / seconds.sum()))
     nothing = measured(samples.select([2]))
-    assert nothing.mean(find_metric("slide_speed"), Resampling()) is None
+    assert nothing.mean(find_metric("slide_speed")) is None
