@@ -18,13 +18,13 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 import scipy.fft
-from threadpoolctl import ThreadpoolController
+from threadpoolctl import threadpool_limits
 
 from eval.metrics.distributions import (
     fid_infinity,
@@ -253,18 +253,12 @@ Features = Float64[np.ndarray, "clips features"]
 Chosen = Int64[np.ndarray, "chosen"]
 
 
-@cache
-def _blas() -> ThreadpoolController:
-    """Looking for BLAS among the loaded libraries takes milliseconds."""
-    return ThreadpoolController()
-
-
 def in_threads(function: Callable[[Item], Result], items: Iterable[Item], num_rows: int) -> Iterator[Result]:
     """The results of a function of each item, in order; in threads if the items have many rows (frames, clips) in all.
 
     BLAS has one thread in each. For few rows, waiting for the interpreter's lock costs more than threads save.
     """
-    with _blas().limit(limits=1, user_api="blas"):
+    with threadpool_limits(1, "blas"):
         if num_rows < ROWS_FOR_THREADS:
             yield from map(function, items)
         else:
@@ -277,8 +271,7 @@ class KinematicDescriptor:
     """The descriptor fitted at one framerate.
 
     `pose_mean` [63] and `pose_components` [10, 63] span poses relative to root and heading; `centre` and `scale`
-    standardise and weigh the features. `training` are the motions that it was fitted on with their running sums, if it
-    was fitted on all.
+    standardise and weigh the features.
     """
 
     name: ClassVar[str] = "kinematic"
@@ -287,7 +280,6 @@ class KinematicDescriptor:
     pose_components: Float64[np.ndarray, "components coordinates"]
     centre: Float64[np.ndarray, "features"]
     scale: Float64[np.ndarray, "features"]
-    training: tuple[SampleSet, Ragged] | None = None
 
     @cached_property
     def fingerprint(self) -> str:
@@ -301,8 +293,6 @@ class KinematicDescriptor:
         """Sums over the poses so far of the numbers that clips average: a row for every pose, float64."""
         if samples.fps != self.fps:
             raise ValueError(f"this descriptor was fitted at {self.fps} fps; {samples.name} is at {samples.fps} fps")
-        if self.training is not None and samples is self.training[0]:
-            return self.training[1]
         num_rows = len(samples.sequences.values)
         own = in_threads(lambda each: self.sums_of(channels(each, self.fps)), samples.sequences, num_rows)
         return Ragged.of(list(own), np.float64)
@@ -463,8 +453,7 @@ def fit_on(train: SampleSet) -> KinematicDescriptor:
     sizes, weights, least = np.array(list(BLOCKS.values())).T
     weight, least_spread = (np.repeat(each, sizes.astype(int)) for each in (np.sqrt(weights / sizes), least))
     scale = weight / np.maximum(described.std(axis=0), least_spread)
-    training = (train, sums.select(np.argsort(order).tolist())) if len(order) == train.num_sequences else None
-    return replace(fitted, centre=described.mean(axis=0), scale=scale, training=training)
+    return replace(fitted, centre=described.mean(axis=0), scale=scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -549,7 +538,7 @@ class Comparison:
             for sums, (clips, features) in zip(by_take, described, strict=True):
                 sums.add(features, clips.sequence)
             on_replication()
-        with _blas().limit(limits=1, user_api="blas"):
+        with threadpool_limits(1, "blas"):
             fids = resampled_fids(by_take[0], by_take[1:], protocol.resamplings, protocol.seed)
         of_rows = dict(zip(resampled, fids, strict=True))
         return {

@@ -35,11 +35,10 @@ def checked_features(features: Features, name: str, minimum: int) -> Float64[np.
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """Mean, N − 1 covariance and number of samples of a feature set, float64."""
+    """Mean and N − 1 covariance of a feature set, float64."""
 
     mean: Float64[np.ndarray, "features"]
     covariance: Float64[np.ndarray, "features features"]
-    num_samples: int
 
     @cached_property
     def factor(self) -> Float64[np.ndarray, "features features"]:
@@ -60,7 +59,7 @@ def fit_gaussian(features: Features) -> Gaussian:
     values = checked_features(features, "features", minimum=2)
     mean = values.mean(axis=0)
     centred = values - mean
-    return Gaussian(mean, centred.T @ centred / (len(values) - 1), len(values))
+    return Gaussian(mean, centred.T @ centred / (len(values) - 1))
 
 
 def frechet_distance(a: Gaussian, b: Gaussian) -> float:
@@ -71,8 +70,6 @@ def frechet_distance(a: Gaussian, b: Gaussian) -> float:
     two fitted (degenerate) Gaussians, but it says little about the distributions: its bias grows as features / N, so
     quote N beside it. Source: Dowson & Landau 1982; Heusel et al. 2017.
     """
-    if a.mean.shape != b.mean.shape:
-        raise ValueError(f"the two sets have {a.mean.size} and {b.mean.size} features")
     cross = np.linalg.svd(a.factor.T @ b.factor, compute_uv=False).sum()
     spread = np.trace(a.covariance) + np.trace(b.covariance) - 2.0 * cross
     shift = a.mean - b.mean

@@ -22,11 +22,11 @@ def retrieval(
 ) -> tuple[Float64[np.ndarray, "ranks"], float]:
     """Recall at each k of `RECALL_RANKS`, and the median rank, from 1, of the nearest relevant candidate.
 
-    Recall at k is the share of queries with a relevant candidate among the k nearest.
-    `right` says which candidates are relevant to a query; by default candidate i to query i alone. Candidates at one
-    distance share their ranks: a hit counts by its expectation over their random order, so an evaluator that maps
-    everything to one point scores chance. Raises `ValueError` for distances that are not finite, and for a query
-    without a relevant candidate. Source: TMR (Petrovich et al. 2023).
+    Recall at k is the share of queries with a relevant candidate among the k nearest. `right` says which candidates are
+    relevant to a query; by default candidate i to query i alone. Candidates at one distance share their ranks: a hit
+    counts by its expectation over their random order, so an evaluator that maps everything to one point scores chance.
+    Raises `ValueError` for distances that are not finite, and for a query without a relevant candidate. Source: TMR
+    (Petrovich et al. 2023).
     """
     if not np.isfinite(distances).all() or not distances.size:
         raise ValueError("retrieval needs finite distances, of one query at least")
@@ -56,8 +56,6 @@ def clip_score(queries: Embeddings, candidates: Embeddings) -> float:
     CLIPScore of images is (Hessel et al. 2021). Raises `ValueError` for unequal shapes, no pairs, rows that are zero or
     not finite. Source: neu-vi/MARDM @ 443313b, utils/eval_utils.py, evaluation_mardm.
     """
-    if queries.shape != candidates.shape:
-        raise ValueError(f"queries are {queries.shape}, candidates {candidates.shape}: one of either for each pair")
     return float(np.einsum("ij,ij->i", _directions(queries, "queries"), _directions(candidates, "candidates")).mean())
 
 

@@ -57,15 +57,15 @@ class Cell:
     mark: str = ""
 
 
-def cell_of(number: Number, details: Mapping[str, float | int] = {}, mark: str = "") -> Cell:
+def cell_of(number: Number, details: Mapping[str, float | int] = {}) -> Cell:
     """A number as a cell; the interval over replications alone is a detail if takes were resampled too.
 
     Replications that differ by no more than rounding, as FID of one set of motions does, make no interval.
     """
     drawn = number.drawing > 1e-9 * abs(number.value)
     if number.ci95 == number.drawing:
-        return Cell(number.value, number.ci95 if drawn else None, details, mark)
-    return Cell(number.value, number.ci95 or None, {**details, DRAWING: number.drawing} if drawn else details, mark)
+        return Cell(number.value, number.ci95 if drawn else None, details)
+    return Cell(number.value, number.ci95 or None, {**details, DRAWING: number.drawing} if drawn else details)
 
 
 def format_number(value: float | int) -> str:

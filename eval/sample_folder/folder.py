@@ -2,11 +2,11 @@
 
 import hashlib
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import groupby
+from itertools import cycle, groupby
 from pathlib import Path
 from typing import Literal
 
@@ -115,18 +115,18 @@ class SampleFolder:
 
         If all are at that framerate, nothing is copied.
         """
-        is_resampled = any(own != fps for own in self.fps)
-        sequences = Ragged.of(list(self._resampled(fps))) if is_resampled else self.sequences
         texts = (self.sequence_ids, self.captions, self.actions)
-        return SampleSet(self.name, fps, sequences, *texts, groups=self.groups)
-
-    def _resampled(self, fps: Fraction) -> Iterator[Float32[np.ndarray, "_frames joints 3"]]:
+        samples = SampleSet(self.name, fps, self.sequences, *texts, groups=self.groups)
+        if all(own == fps for own in self.fps):
+            return samples
+        resampled: list[Float32[np.ndarray, "_frames 22 3"]] = []
         for own, places in groupby(range(self.num_motions), key=self.fps.__getitem__):
-            run = [self.sequences[place] for place in places]
+            neighbours = [self.sequences[place] for place in places]
             if own < fps:
-                yield from each_upsampled(run, own, fps)
+                resampled += each_upsampled(neighbours, own, fps)
             else:
-                yield from (resample_positions(sequence, own, fps) for sequence in run)
+                resampled += [resample_positions(sequence, own, fps) for sequence in neighbours]
+        return samples.with_positions(resampled)
 
     def describe(self) -> str:
         """A summary: number, duration and framerates of motions, and remarks."""
@@ -175,17 +175,15 @@ def takes_of_samples(folder: SampleFolder, real: RealMotion) -> tuple[str, ...]:
     named = rows_by_name(folder.sequence_ids, real.sequence_ids)
     if 2 * sum(row is not None for row in named) > len(named):
         return tuple("" if row is None else real.sequence_ids[row] for row in named)
-    by_caption: dict[str, list[int]] = defaultdict(list)
+    by_caption: dict[str, list[str]] = defaultdict(list)
     for row in sorted(range(len(real.fps)), key=lambda row: -real.fps[row]):
         if real.captions[row]:
-            by_caption[real.captions[row]].append(row)
+            by_caption[real.captions[row]].append(real.sequence_ids[row])
+    in_turn = {caption: cycle(takes) for caption, takes in by_caption.items()}
     take_of_group: dict[str, str] = {}
-    answered: dict[str, int] = defaultdict(int)
     for group, caption in zip(folder.groups, folder.captions, strict=True):
-        takes = by_caption.get(caption)
-        if takes and group not in take_of_group:
-            take_of_group[group] = real.sequence_ids[takes[answered[caption] % len(takes)]]
-            answered[caption] += 1
+        if caption in in_turn and group not in take_of_group:
+            take_of_group[group] = next(in_turn[caption])
     return tuple(take_of_group.get(group, "") for group in folder.groups)
 
 
