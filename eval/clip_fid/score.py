@@ -26,15 +26,7 @@ import numpy.typing as npt
 import scipy.fft
 from threadpoolctl import threadpool_limits
 
-from eval.metrics.distributions import (
-    fid_infinity,
-    fit_gaussian,
-    frechet_distance,
-    kernel_mean,
-    kid,
-    prdc,
-    squared_radii,
-)
+from eval.metrics import distributions
 from eval.metrics.metric import Metric
 from eval.metrics.number import (
     RESAMPLINGS,
@@ -572,19 +564,20 @@ class Comparison:
 
     def _comparer(self, real: Features, replication: int) -> Callable[[Features], dict[str, float]]:
         """clip-FID of features with those of `real`, and in detailed replications all further metrics."""
-        gaussian, num_neighbours = fit_gaussian(real), self.protocol.num_neighbours
+        gaussian, num_neighbours = distributions.fit_gaussian(real), self.protocol.num_neighbours
         is_detailed = replication < self.protocol.detailed_replications
         if is_detailed:
-            kernel, radii = kernel_mean(real), squared_radii(real, num_neighbours)
+            kernel, radii = distributions.kernel_mean(real), distributions.squared_radii(real, num_neighbours)
 
         def compare(other: Features) -> dict[str, float]:
-            scores = {"clip_fid": frechet_distance(gaussian, fit_gaussian(other))}
+            scores = {"clip_fid": distributions.frechet_distance(gaussian, distributions.fit_gaussian(other))}
             if is_detailed:
                 # FID∞ needs more than four clips per feature.
                 with suppress(ValueError):
                     rng = np.random.default_rng((self.protocol.seed, replication, 4))
-                    scores["fid_infinity"] = fid_infinity(real, other, rng)
-                scores |= {"kid": kid(real, other, kernel), **prdc(real, other, num_neighbours, radii)}
+                    scores["fid_infinity"] = distributions.fid_infinity(real, other, rng)
+                scores["kid"] = distributions.kid(real, other, kernel)
+                scores |= distributions.prdc(real, other, num_neighbours, radii)
             return scores
 
         return compare

@@ -6,17 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from eval.commands.eval import framerates, named_samples
-from motionkit.cli.console import (
-    AsJson,
-    Overwrite,
-    RunsFolder,
-    parse_rate,
-    print_json,
-    print_table,
-    progress,
-    stderr,
-    stdout,
-)
+from motionkit.cli import console
 from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import default_path, require_new
 from motionkit.core.progress import task
@@ -39,7 +29,7 @@ def make(
     samples_fps: Annotated[str | None, typer.Option(metavar="FPS", help="Framerate of samples without one.")] = None,
     run: Annotated[str | None, typer.Option(help="A run that generates for the others' captions; comes first.")] = None,
     model: Annotated[str | None, typer.Option(help="Which of the run's models, if it has several.")] = None,
-    runs: RunsFolder = None,
+    runs: console.RunsFolder = None,
     store: Annotated[Path | None, typer.Option(help="Add real motion of this store as a system.")] = None,
     split: Annotated[str, typer.Option(help="Split of the real motion, or all.")] = "test",
     fps: Annotated[str, typer.Option(metavar="FPS,FPS", help="The paper's are 20 and 40,60,100,120.")] = "20,120",
@@ -47,8 +37,8 @@ def make(
     seconds: Annotated[float, typer.Option(min=0.1, help="Longer motions are cut to their middle.")] = 10.0,
     seed: Annotated[int, typer.Option(min=0, help="Random seed of motions, sides and order.")] = 0,
     out: Annotated[Path, typer.Option(help="The page; the key lies beside it, NAME.key.json.")] = Path("study.html"),
-    overwrite: Overwrite = False,
-    as_json: AsJson = False,
+    overwrite: console.Overwrite = False,
+    as_json: console.AsJson = False,
 ) -> None:
     """Write a page on which people choose between two motions, and the key that says whose they are.
 
@@ -67,15 +57,15 @@ def make(
     if model is not None and run is None:
         raise UsageError("--model is one of a run's: give --run")
     folder = None if run is None else (runs or default_path("runs")) / run
-    options = SampleOptions(parse_rate(samples_fps, "--samples-fps"))
+    options = SampleOptions(console.parse_rate(samples_fps, "--samples-fps"))
     rates, missing = framerates(fps, "--fps"), Missing()
-    with progress() as show:
+    with console.progress() as show:
         systems = []
         for name, path in named_samples(samples or [], folder).items():
             with task(show, f"read {name}") as work:
                 read = read_sample_folder(name, path, options, work.set)
             for problem in read.left_out:
-                stderr.print(f"left out of {name!r}: {problem}")
+                console.stderr.print(f"left out of {name!r}: {problem}")
             systems.append(of_motions(read))
         if store is not None:
             systems.append(of_motions(real_motion(Store.open(store), split)))
@@ -85,20 +75,20 @@ def make(
         trials = draw_trials(systems, rates, cases, seed, missing)
         num_bytes = write_study(out, key, systems, trials, seed, seconds, show)
     for line in missing.lines:
-        stderr.print(f"motionkit: {line}")
+        console.stderr.print(f"motionkit: {line}")
     if as_json:
         places = {"page": str(out), "key": str(key), "bytes": num_bytes}
-        print_json({**places, "questions": len(trials), "missing": list(missing.lines)})
+        console.print_json({**places, "questions": len(trials), "missing": list(missing.lines)})
     else:
-        stderr.print(f"{counted(len(trials), 'question')}, {num_bytes / 1e6:.1f} MB; keep {key} to yourself")
-        stdout.print(f"{out}\nnext: motionkit study score ANSWERS.json --key {key}")
+        console.stderr.print(f"{counted(len(trials), 'question')}, {num_bytes / 1e6:.1f} MB; keep {key} to yourself")
+        console.stdout.print(f"{out}\nnext: motionkit study score ANSWERS.json --key {key}")
 
 
 @STUDY.command()
 def score(
     answers: Annotated[list[Path], typer.Argument(metavar="ANSWERS.json…", help="The files that people returned.")],
     key: Annotated[Path, typer.Option(help="The study's key.")] = Path("study.key.json"),
-    as_json: AsJson = False,
+    as_json: console.AsJson = False,
 ) -> None:
     """Print how often the first system was preferred to each other one: per cent, 95 % interval, binomial test.
 
@@ -112,18 +102,18 @@ def score(
     known, missing = read_key(key), Missing()
     read = read_answers(answers, known, missing)
     for fault in missing.lines:
-        stderr.print(f"left out: {fault}")
+        console.stderr.print(f"left out: {fault}")
     results = preferences(known, read.values())
     given = sum(map(len, read.values()))
     if as_json:
         outcome = {"study": known["study"], "people": len(read), "answers": given}
-        print_json({**outcome, "preferences": list(map(asdict, results))})
+        console.print_json({**outcome, "preferences": list(map(asdict, results))})
     elif results:
         for question, text in QUESTIONS.items():
             if rows := [_row(each) for each in results if each.question == question]:
-                stdout.print(text)
-                print_table(["shown at", "preferred", "95 % interval", "answers", "p"], rows)
-        stderr.print(f"{len(read)} people, {given} of {len(read) * len(known['trials'])} questions answered")
+                console.stdout.print(text)
+                console.print_table(["shown at", "preferred", "95 % interval", "answers", "p"], rows)
+        console.stderr.print(f"{len(read)} people, {given} of {len(read) * len(known['trials'])} questions answered")
     if missing.lines:
         raise StudyError(f"{len(missing.lines)} of {len(answers)} files were left out (see above)")
 

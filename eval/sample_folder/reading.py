@@ -24,23 +24,13 @@ from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_jo
 from motionkit.core.timegrid import TimeGrid, parse_fps
 from motionkit.features.layout import layout_of
 from motionkit.features.statistics import Statistics
-from motionkit.io import annotations, humanml3d, joints_npy, npy, source_file, texts
-from motionkit.io.body_frame import (
-    GIVEN_AXES,
-    TYPICAL_HEIGHT_METRES,
-    UNITS,
-    bone_lengths,
-    infer_up,
-    is_plausible,
-    log_lines,
-    to_y_up,
-)
+from motionkit.io import annotations, body_frame, humanml3d, joints_npy, npy, source_file, texts
 from motionkit.io.registry import NAMED_VECTORS, ReadOptions, SourceItem
 from motionkit.io.scan import read, scan
 
 MANIFEST = "samples.toml"
 RAW, NORMALISED = "raw", "normalised"
-CHOICES = {"up": GIVEN_AXES, "statistics": (RAW, NORMALISED), "vectors": NAMED_VECTORS}
+CHOICES = {"up": body_frame.GIVEN_AXES, "statistics": (RAW, NORMALISED), "vectors": NAMED_VECTORS}
 
 
 @dataclass(frozen=True)
@@ -169,9 +159,9 @@ def body_faults(name: str, motions: Sequence[SampleMotion]) -> dict[int, str]:
 
     Raises `SampleFolderError` if the bones of the others do not keep their lengths.
     """
-    bones = bone_lengths(some_poses([motion.positions for motion in motions]))
+    bones = body_frame.bone_lengths(some_poses([motion.positions for motion in motions]))
     sizes = np.median(bones.sum(axis=-1), axis=1).tolist()
-    faults = {index: _size_message(metres) for index, metres in enumerate(sizes) if not is_plausible(metres)}
+    faults = {index: _size_message(metres) for index, metres in enumerate(sizes) if not body_frame.is_plausible(metres)}
     kept = np.delete(bones, list(faults), axis=0)
     if len(kept) and (variation := _variation(kept)) > MOST_BONE_VARIATION:
         raise SampleFolderError(
@@ -182,12 +172,12 @@ def body_faults(name: str, motions: Sequence[SampleMotion]) -> dict[int, str]:
 
 
 def _size_message(metres: float) -> str:
-    units = {**UNITS, "KIT-ML's unit": humanml3d.KIT.unit_metres}
-    name = min(units, key=lambda name: abs(np.log(max(metres * units[name], 1e-30) / TYPICAL_HEIGHT_METRES)))
-    in_unit, advice = metres * units[name], f"unit_metres = {units[name]:.6g} in {MANIFEST}"
-    return f"a body measures {metres:.3g} m from ankle to head, people {TYPICAL_HEIGHT_METRES} m; " + (
-        f"in {name} it would be {in_unit:.2f} m: {advice}" if is_plausible(in_unit) else "no usual unit explains it"
-    )
+    units = {**body_frame.UNITS, "KIT-ML's unit": humanml3d.KIT.unit_metres}
+    name = min(units, key=lambda name: abs(np.log(max(metres * units[name], 1e-30) / body_frame.TYPICAL_HEIGHT_METRES)))
+    in_unit, advice = metres * units[name], "no usual unit explains it"
+    if body_frame.is_plausible(in_unit):
+        advice = f"in {name} it would be {in_unit:.2f} m: unit_metres = {units[name]:.6g} in {MANIFEST}"
+    return f"a body measures {metres:.3g} m from ankle to head, people {body_frame.TYPICAL_HEIGHT_METRES} m; {advice}"
 
 
 def upright(motions: Sequence[SampleMotion], up: str) -> tuple[list[SampleMotion], str]:
@@ -198,14 +188,15 @@ def upright(motions: Sequence[SampleMotion], up: str) -> tuple[list[SampleMotion
     """
     if motions and not up:
         poses = some_poses([motion.positions for motion in motions]).reshape(-1, SMPL22.num_joints, 3)
-        up = infer_up(SMPL22, poses, ("y", "z", "-y"))
+        up = body_frame.infer_up(SMPL22, poses, ("y", "z", "-y"))
     if up in ("", "y"):
         return list(motions), ""
+    positions = (body_frame.to_y_up(motion.positions, up).astype(np.float32) for motion in motions)
     turned = [
-        replace(motion, positions=to_y_up(motion.positions, up).astype(np.float32), vectors=None, kit_joints=None)
-        for motion in motions
+        replace(motion, positions=own, vectors=None, kit_joints=None)
+        for motion, own in zip(motions, positions, strict=True)
     ]
-    return turned, log_lines(up)[0]
+    return turned, body_frame.log_lines(up)[0]
 
 
 def padding_remark(motions: Sequence[SampleMotion]) -> tuple[str, ...]:
@@ -241,8 +232,9 @@ def check_vectors(
     what = f"--samples {name}: {stored.shape[1]}-number pose vectors are said to be {statistics}, but"
 
     def makes_body(vectors: Float[np.ndarray, "rows numbers"]) -> bool:
-        bones = bone_lengths(_local_joints(vectors))
-        return is_plausible(float(np.median(bones.sum(axis=-1)))) and _variation(bones) <= MOST_BONE_VARIATION
+        bones = body_frame.bone_lengths(_local_joints(vectors))
+        size = float(np.median(bones.sum(axis=-1)))
+        return body_frame.is_plausible(size) and _variation(bones) <= MOST_BONE_VARIATION
 
     if statistics == NORMALISED and makes_body(stored):
         raise SampleFolderError(f"{what} as they are they make a body, so they look raw; {STATE_STATISTICS}")

@@ -29,14 +29,7 @@ from motionkit.features.layout import PoseLayout, pose_layout
 from motionkit.features.statistics import Statistics
 from motionkit.io import npy, source_file
 from motionkit.io.humanml3d import HUMANML3D, KIT, Layout
-from motionkit.training.loop import (
-    CheckpointError,
-    fill_checked,
-    foreign_tensors,
-    one_line,
-    read_foreign,
-    weights_digest,
-)
+from motionkit.training import loop
 
 VERSION = "guo/2"
 WHAT = "the evaluator of Guo et al."
@@ -114,7 +107,7 @@ def kind_of(first: Tensor | None, names: tuple[str, ...], path: Path, what: str)
     known = {kind.num_inputs: kind for kind in KINDS if kind.name in names}
     if len(shape) < 2 or shape[1] not in known:
         sizes = ", ".join(map(str, known))
-        raise CheckpointError(f"{path}: the first layer is {shape or 'missing'}; {what} reads {sizes} numbers")
+        raise loop.CheckpointError(f"{path}: the first layer is {shape or 'missing'}; {what} reads {sizes} numbers")
     return known[shape[1]]
 
 
@@ -286,7 +279,9 @@ def fingerprint_of(
 ) -> str:
     """First 16 hex digits of the sha256 over everything that embeddings depend on."""
     arrays = map(torch.from_numpy, (statistics.mean, statistics.std, *others))
-    return weights_digest(f"{VERSION} {terms}", network.state_dict() | {f"array {n}": a for n, a in enumerate(arrays)})
+    return loop.weights_digest(
+        f"{VERSION} {terms}", network.state_dict() | {f"array {n}": a for n, a in enumerate(arrays)}
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,18 +427,18 @@ def load_guo(files: GuoFiles) -> GuoEvaluator:
     distinguish HumanML3D's evaluator from KIT's, and Guo's from MARDM's. Raises `CheckpointError` for invalid weights
     and `GuoError` for other invalid files.
     """
-    path, loaded = files.weights, read_foreign(files.weights)
+    path, loaded = files.weights, loop.read_foreign(files.weights)
     tensors = {
         f"{encoder}.{name}": tensor
         for encoder in ENCODERS
-        for name, tensor in foreign_tensors(loaded, encoder, path, WHAT).items()
+        for name, tensor in loop.foreign_tensors(loaded, encoder, path, WHAT).items()
     }
     kind = kind_of(tensors.get("movement_encoder.main.0.weight"), ("guo", "mardm"), path, WHAT)
     # The widths are the sizes of four biases; a name that is missing is reported with the others.
     biases = (f"{ENCODERS[0]}.out_net", f"{ENCODERS[1]}.input_emb", f"{ENCODERS[2]}.input_emb")
     widths = [len(tensors.get(f"{name}.bias", [0])) for name in (*biases, f"{ENCODERS[1]}.output_net.3")]
     networks = GuoNetworks(kind.num_inputs, *widths)
-    fill_checked(networks.state_dict(), tensors, "weights", path, WHAT)
+    loop.fill_checked(networks.state_dict(), tensors, "weights", path, WHAT)
     networks = networks.double().eval().requires_grad_(False)
     # Where the published archives have them: text-to-motion's models of both data sets, and T2M-GPT's.
     dataset = path.absolute().parent.parent.parent
@@ -548,7 +543,7 @@ def load_motion_clip(folder: Path) -> GuoEvaluator:
     the extra `text`.
     """
     path = folder / "finest.tar"
-    tensors = foreign_tensors(read_foreign(path), KEY, path, MOTION_CLIP)
+    tensors = loop.foreign_tensors(loop.read_foreign(path), KEY, path, MOTION_CLIP)
     kind = kind_of(tensors.get("motion_encoder.embed_motion.weight"), ("mardm",), path, MOTION_CLIP)
     try:
         vocabulary, width = tensors["token_embedding.weight"].shape
@@ -557,10 +552,10 @@ def load_motion_clip(folder: Path) -> GuoEvaluator:
         )
         feedforward = len(tensors["textTransEncoder.layers.0.linear1.bias"])
     except (KeyError, ValueError, TypeError) as error:
-        raise CheckpointError(f"{path}: not {MOTION_CLIP} ({error})") from None
+        raise loop.CheckpointError(f"{path}: not {MOTION_CLIP} ({error})") from None
     layers = sum(name.startswith("textTransEncoder.") and name.endswith("linear1.bias") for name in tensors)
     network = MotionClip(kind.num_inputs, num_positions, vocabulary, context, (width, feedforward, layers))
-    fill_checked(network.state_dict(), tensors, KEY, path, MOTION_CLIP)
+    loop.fill_checked(network.state_dict(), tensors, KEY, path, MOTION_CLIP)
     network = network.eval().requires_grad_(False)
     try:
         from transformers import CLIPTokenizer
@@ -569,7 +564,9 @@ def load_motion_clip(folder: Path) -> GuoEvaluator:
     try:
         tokenizer = CLIPTokenizer.from_pretrained(folder, local_files_only=True)
     except Exception as error:  # the tokenizers library raises no narrower class
-        raise GuoError(f"{folder}: vocab.json and merges.txt are not a CLIP tokenizer's ({one_line(error)})") from None
+        raise GuoError(
+            f"{folder}: vocab.json and merges.txt are not a CLIP tokenizer's ({loop.one_line(error)})"
+        ) from None
     if len(tokenizer) != vocabulary or tokenizer.eos_token_id != vocabulary - 1:
         raise GuoError(
             f"{folder}: {len(tokenizer)} word pieces with the end of text at {tokenizer.eos_token_id}; CLIP's are "

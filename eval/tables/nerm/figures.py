@@ -13,17 +13,9 @@ from eval.clip_fid.score import REAL as REAL_STREAM
 from eval.metrics.actions import diversity
 from eval.metrics.number import over_replications
 from eval.report.results import Block, Cell, Row, cell_of, measure
-from eval.sets.motions import (
-    VARIANT_NOTES,
-    NoRealMotionError,
-    Window,
-    generate_fields,
-    needs_a_condition,
-    planted_fields,
-    refusal,
-)
+from eval.sets import motions
 from eval.sets.sets import REAL, RowId, SampleSet, Variant
-from eval.tables.systems import COLUMNS, Yardstick, detail_blocks, label, require_models
+from eval.tables.systems import COLUMNS, ModelFields, Yardstick, detail_blocks, label, require_models
 from eval.tables.table import Content, EvalConfig, Table
 from motionkit.core.errors import UsageError
 from motionkit.core.progress import tracked
@@ -41,8 +33,8 @@ REPEATS = 5
 CPU, WALL = "CPU seconds a motion", "seconds a motion"
 
 
-def _and_planted(name: str, fields: Mapping[Window, MotionField]) -> dict[RowId, Mapping[Window, MotionField]]:
-    return {RowId(name): fields, RowId(name, Variant.PLANTED): planted_fields(fields)}
+def _and_planted(name: str, fields: Mapping[motions.Window, MotionField]) -> ModelFields:
+    return {RowId(name): fields, RowId(name, Variant.PLANTED): motions.planted_fields(fields)}
 
 
 def unconditional(config: EvalConfig, store: Store) -> Content:
@@ -56,11 +48,11 @@ def unconditional(config: EvalConfig, store: Store) -> Content:
     for name in tracked(config.on_progress, "systems", models, len(models)):
         with config.missing.skipping(name):
             model = models[name].loaded
-            fields = generate_fields(model, _windows(model, yardstick), config.seed, config.max_motions)
-            notes = (models[name].note, ANY_CONDITION if needs_a_condition(model) else "")
+            fields = motions.generate_fields(model, _windows(model, yardstick), config.seed, config.max_motions)
+            notes = (models[name].note, ANY_CONDITION if motions.needs_a_condition(model) else "")
             for row, own in _and_planted(f"{name}, unconditional", fields).items():
                 sets = yardstick.sets(row, own)
-                note = VARIANT_NOTES.get(row.variant) or "; ".join(filter(None, notes))
+                note = motions.VARIANT_NOTES.get(row.variant) or "; ".join(filter(None, notes))
                 scores.append(Row(str(row), "ours", yardstick.clip_fid(row, sets), note))
                 spreads.append(Row(str(row), "ours", _diversity(sets, yardstick)))
     if not scores:
@@ -92,18 +84,20 @@ def unconditional(config: EvalConfig, store: Store) -> Content:
     )
 
 
-def _windows(model: GenerativeModel, yardstick: Yardstick) -> list[Window]:
+def _windows(model: GenerativeModel, yardstick: Yardstick) -> list[motions.Window]:
     """Requests without conditions; a model that never learnt to do without gets random ones of training motion."""
     windows, train = yardstick.windows(model), yardstick.train
     conditions = [("", "")] * len(windows)
-    if needs_a_condition(model):
+    if motions.needs_a_condition(model):
         known = [
             pair
             for pair in zip(train.captions, train.actions, strict=True)
-            if any(pair) and not refusal(model, GenerationRequest(None, *pair))
+            if any(pair) and not motions.refusal(model, GenerationRequest(None, *pair))
         ]
         if not known:
-            raise NoRealMotionError(f"{model.name} needs a condition, and no training motion has one that it knows")
+            raise motions.NoRealMotionError(
+                f"{model.name} needs a condition, and no training motion has one that it knows"
+            )
         chosen = np.random.default_rng((yardstick.config.seed, 11)).integers(len(known), size=len(windows))
         conditions = [known[row] for row in chosen.tolist()]
     return [
@@ -149,7 +143,9 @@ def cost(config: EvalConfig, store: Store) -> Content:
         with config.missing.skipping(name):
             model, own = models[name].loaded, []
             for suffix, sampling in _samplings(model, fps, seconds).items():
-                fields = generate_fields(model, yardstick.windows(model), config.seed, config.max_motions, sampling)
+                fields = motions.generate_fields(
+                    model, yardstick.windows(model), config.seed, config.max_motions, sampling
+                )
                 cells = _cost(model, sampling, fps, seconds)
                 for row, each in _and_planted(f"{name}{suffix}", fields).items():
                     if at_fps := yardstick.sets(row, each):

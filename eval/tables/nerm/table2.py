@@ -10,29 +10,9 @@ from threadpoolctl import threadpool_limits
 from eval.clip_fid.score import CLIP_FID, VERSION, FeatureSource, feature_sources
 from eval.metrics.number import Number
 from eval.report.results import Block, Cell, Row, measure, with_differences
-from eval.sets.motions import (
-    STILL_METRES,
-    VARIANT_NOTES,
-    NoRealMotionError,
-    TrainingWindows,
-    real_motion,
-    training_motion,
-)
+from eval.sets import motions
 from eval.sets.sets import REAL, Missing, RowId, SampleSet, Variant
-from eval.tables.systems import (
-    COLUMNS,
-    LOW_FPS,
-    REFERENCES,
-    ROW_NOTES,
-    VECTORS,
-    Column,
-    detail_blocks,
-    generated_at,
-    generated_fields,
-    label,
-    make_column,
-    score_column,
-)
+from eval.tables import systems
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, name_and_fps, printed_block, reported_figures
 from motionkit.core.errors import counted
 from motionkit.core.progress import task
@@ -49,9 +29,9 @@ HELD_OUT_SHARE = 0.01
 """Share of held-out real motion's windows that the limit calls copied."""
 COPIES_NOTE = (
     f"Copied are windows of a second that are nearer to training motion, for how much they move, than "
-    f"{HELD_OUT_SHARE:.0%} of held-out real motion's. Windows that move less than {1000 * STILL_METRES:g} mm are left "
-    f"out. The other columns hold the distance within which that share has training motion. A row has at most "
-    f"{MAX_COPIES} motions."
+    f"{HELD_OUT_SHARE:.0%} of held-out real motion's. Windows that move less than "
+    f"{1000 * motions.STILL_METRES:g} mm are left out. The other columns hold the distance within which that share has "
+    f"training motion. A row has at most {MAX_COPIES} motions."
 )
 
 
@@ -60,18 +40,18 @@ class Sheet:
     """One feature set's cells and differences by row and column, its fingerprints by column, and remarks."""
 
     source: FeatureSource
-    cells: dict[RowId, dict[str, Cell]] = field(default_factory=lambda: {row: {} for row in REFERENCES})
+    cells: dict[RowId, dict[str, Cell]] = field(default_factory=lambda: {row: {} for row in systems.REFERENCES})
     differences: dict[tuple[RowId, RowId], dict[str, Number]] = field(default_factory=dict)
     fingerprints: dict[str, str] = field(default_factory=dict)
     remarks: dict[str, None] = field(default_factory=dict)
 
-    def add(self, column: Column, config: EvalConfig) -> None:
+    def add(self, column: systems.Column, config: EvalConfig) -> None:
         """Score a column's rows."""
-        comparison, name = column.comparison(self.source, config), label(column.fps)
+        comparison, name = column.comparison(self.source, config), systems.label(column.fps)
         # Once with all rows, once for the halves.
         steps = 2 * comparison.protocol.replications
         with task(config.on_progress, f"{self.source.name}, {name}", steps) as work:
-            cells, differences = score_column(
+            cells, differences = systems.score_column(
                 comparison, column.rows, config.missing, work.advance, column.subset_sizes
             )
         for row, cell in cells.items():
@@ -89,7 +69,7 @@ class Sheet:
             self.source.title,
             labels,
             tuple(
-                Row(str(row), "reference" if row in REFERENCES else "ours", cells, notes.get(row, ""))
+                Row(str(row), "reference" if row in systems.REFERENCES else "ours", cells, notes.get(row, ""))
                 for row, cells in self.cells.items()
                 if cells
             ),
@@ -109,45 +89,45 @@ def compute(config: EvalConfig, store: Store) -> Content:
     Raises `UsageError` or `StoreError` for a store that cannot be used, and `NoRealMotionError` if no column has
     real motion.
     """
-    real = real_motion(store, config.split, config.where)
-    train = training_motion(store, real)
+    real = motions.real_motion(store, config.split, config.where)
+    train = motions.training_motion(store, real)
     with task(config.on_progress, "real sets"):
         rates: list[Fraction] = []
-        for fps in config.fps or COLUMNS:
-            with config.missing.skipping(f"{fps} fps", (NoRealMotionError,)):
+        for fps in config.fps or systems.COLUMNS:
+            with config.missing.skipping(f"{fps} fps", (motions.NoRealMotionError,)):
                 real.indices_at(fps)
                 rates.append(fps)
     if not rates:
-        raise NoRealMotionError(config.missing.lines[-1])
-    generated, training = generated_fields(config, real.at(min(rates)))
+        raise motions.NoRealMotionError(config.missing.lines[-1])
+    generated, training = systems.generated_fields(config, real.at(min(rates)))
     notes = _row_notes(training, config)
     sheets = [Sheet(source) for source in feature_sources(config.evaluators, config.guo, config.missing)]
     real_sets: dict[str, dict[str, float]] = {}
     details: list[Block] = []
     for fps in rates:
         # One column's motions at a time: all framerates together need three times the memory.
-        column, name = make_column(fps, real, train, generated, config), label(fps)
+        column, name = systems.make_column(fps, real, train, generated, config), systems.label(fps)
         real_sets[name] = {"sequences": column.real.num_sequences, "seconds": column.real.duration_seconds}
         for sheet in sheets:
             with config.missing.skipping(f"{name}, {sheet.source.name}"):
                 sheet.add(column, config)
-        details += detail_blocks(column.real, column.train, column.rows, config)
+        details += systems.detail_blocks(column.real, column.train, column.rows, config)
         del column
         for motion in (real, train):
-            motion.forget_all_but(LOW_FPS)
+            motion.forget_all_but(systems.LOW_FPS)
     copies: list[Block] = []
     with (
         task(config.on_progress, "copies of training motion"),
-        config.missing.skipping("copies of training motion", (NoRealMotionError, ValueError)),
+        config.missing.skipping("copies of training motion", (motions.NoRealMotionError, ValueError)),
     ):
         if train.name == real.name:
-            raise NoRealMotionError("the compared motion is the training motion")
+            raise motions.NoRealMotionError("the compared motion is the training motion")
         fields = {row: fields for row, fields in generated.items() if row.variant is Variant.AS_IS}
-        slow = generated_at(fields, real.at(LOW_FPS), LOW_FPS, Missing())
+        slow = systems.generated_at(fields, real.at(systems.LOW_FPS), systems.LOW_FPS, Missing())
         # Of a system with a folder for each framerate, the slowest.
         folders = sorted(config.sample_folders, key=lambda each: name_and_fps(each.name)[1] or 0, reverse=True)
-        slow |= {RowId(name_and_fps(each.name)[0]): each.at(LOW_FPS) for each in folders}
-        copies.append(copies_block(real.at(LOW_FPS), train.at(LOW_FPS), slow))
+        slow |= {RowId(name_and_fps(each.name)[0]): each.at(systems.LOW_FPS) for each in folders}
+        copies.append(copies_block(real.at(systems.LOW_FPS), train.at(systems.LOW_FPS), slow))
     protocol = config.clips
     return Content(
         caption=(
@@ -166,7 +146,7 @@ def compute(config: EvalConfig, store: Store) -> Content:
             printed_block(
                 "Printed in the NeRM paper (HumanML3D)",
                 reported_figures("nerm", "2"),
-                lambda figure: label(figure.setting),
+                lambda figure: systems.label(figure.setting),
                 note=f"Of another feature extractor on other motions (docs/tables.md). Source: {SOURCES['nerm']}.",
             ),
         ),
@@ -183,9 +163,13 @@ def _row_notes(training: Mapping[str, str], config: EvalConfig) -> dict[RowId, s
     for folder in config.sample_folders:
         name = name_and_fps(folder.name)[0]
         own[name] = "; ".join(filter(None, (own.get(name, ""), folder.describe())))
-    variants = {Variant.UPSAMPLED: UPSAMPLED_NOTE, Variant.AS_VECTORS: ROW_NOTES[VECTORS], **VARIANT_NOTES}
+    variants = {
+        Variant.UPSAMPLED: UPSAMPLED_NOTE,
+        Variant.AS_VECTORS: systems.ROW_NOTES[systems.VECTORS],
+        **motions.VARIANT_NOTES,
+    }
     of_variants = {RowId(system, variant): note for system in own for variant, note in variants.items()}
-    return {**ROW_NOTES, **{RowId(system): note for system, note in own.items()}, **of_variants}
+    return {**systems.ROW_NOTES, **{RowId(system): note for system, note in own.items()}, **of_variants}
 
 
 def copies_block(held_out: SampleSet, training: SampleSet, others: Mapping[RowId, SampleSet]) -> Block:
@@ -193,7 +177,7 @@ def copies_block(held_out: SampleSet, training: SampleSet, others: Mapping[RowId
 
     Sets without a moving second have no row. Raises `ValueError` where the training motion is too short.
     """
-    windows = TrainingWindows.of(training)
+    windows = motions.TrainingWindows.of(training)
     compared = {}
     # One thread is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
