@@ -21,11 +21,11 @@ from rich.table import Table
 
 from benchmarks.command import arguments_parser, print_json
 from motionkit.cli.console import stdout
+from motionkit.core.files import SEQUENCES_FILE
 from motionkit.core.motion import Caption, Motion
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.store import Store, StoreWriter
-from motionkit.store.schema import SEQUENCES_FILE
 
 FRAMERATES = (Fraction(20), Fraction(30), Fraction(60), Fraction(100), Fraction(120))
 QUERY = "SELECT fps, count(*), sum(duration_seconds) FROM {table} WHERE split = 'train' GROUP BY fps ORDER BY fps"

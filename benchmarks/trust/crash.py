@@ -23,8 +23,8 @@ from benchmarks.trust.process import UNDISTURBED, Fault, Outcome, run_command
 from benchmarks.trust.scenarios import CALL, RUN, SCENARIOS, STARTS, STORE, Arguments, Scenario, train
 from eval.report.results import environment
 from motionkit.core.errors import MotionkitError
+from motionkit.core.files import MANIFEST_FILE
 from motionkit.store import Store
-from motionkit.store.schema import MANIFEST_FILE
 from motionkit.store.validate import faults
 
 # Number of trials of each kind in a whole drill; of file operations it tries all.

@@ -22,14 +22,11 @@ import pyarrow.parquet as pq
 
 from motionkit.core import __version__, files
 from motionkit.core.errors import MotionkitError, StoreError, describe
-from motionkit.core.files import defer_signals, exclusive_lock, sha256_of
+from motionkit.core.files import MANIFEST_FILE, MOTIONS_FOLDER, SEQUENCES_FILE, defer_signals, exclusive_lock, sha256_of
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.mapping import parse_layout_map
 from motionkit.store.schema import (
-    MANIFEST_FILE,
-    MOTIONS_FOLDER,
     SEQUENCES,
-    SEQUENCES_FILE,
     SEQUENCES_PER_ROW_GROUP,
     SKELETONS,
     SKELETONS_FILE,

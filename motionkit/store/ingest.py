@@ -16,7 +16,7 @@ from typing import Literal
 import pyarrow as pa
 
 from motionkit.core.errors import FormatError, MotionkitError, StoreError
-from motionkit.core.files import is_store
+from motionkit.core.files import MOTIONS_FOLDER, is_store
 from motionkit.core.progress import OnProgress, Task, ignore, task
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, parse_layout_map, rest_positions
@@ -26,7 +26,7 @@ from motionkit.io.registry import ReadOptions, ScanResult, SourceItem
 from motionkit.io.scan import read, scan
 from motionkit.store.commit import pending_part
 from motionkit.store.reader import Store
-from motionkit.store.schema import MOTIONS_FOLDER, SEQUENCES, EncodedMotion, RefusedMotion, Row, encode
+from motionkit.store.schema import SEQUENCES, EncodedMotion, RefusedMotion, Row, encode
 from motionkit.store.workers import LOCAL, WorkerDied, Workers, check_engine, start_workers, usable_cores
 from motionkit.store.writer import PartWriter, PendingPart, StoreWriter
 

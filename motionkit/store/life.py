@@ -16,11 +16,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from motionkit.core.errors import StoreError, UsageError, counted, describe
+from motionkit.core.files import MANIFEST_FILE, SEQUENCES_FILE
 from motionkit.core.shapes import Float, Int
 from motionkit.store.cache import remove_stale_caches
 from motionkit.store.commit import changing, committed, publish, read_manifest, write_pending
 from motionkit.store.reader import Store
-from motionkit.store.schema import MANIFEST_FILE, PART_BYTES, SEQUENCES_FILE, part_name
+from motionkit.store.schema import PART_BYTES, part_name
 from motionkit.store.writer import StoreWriter
 
 if TYPE_CHECKING:

@@ -16,9 +16,7 @@ import numpy as np
 import pyarrow as pa
 
 from motionkit.core.errors import StoreError
-from motionkit.core.files import MANIFEST_FILE as MANIFEST_FILE
-from motionkit.core.files import MOTIONS_FOLDER as MOTIONS_FOLDER
-from motionkit.core.files import SEQUENCES_FILE as SEQUENCES_FILE
+from motionkit.core.files import MOTIONS_FOLDER
 from motionkit.core.motion import Caption, Motion, Provenance
 from motionkit.core.shapes import Float32
 from motionkit.core.skeleton import Feet, Skeleton

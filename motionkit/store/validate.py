@@ -8,9 +8,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from motionkit.core.errors import StoreError
+from motionkit.core.files import SEQUENCES_FILE
 from motionkit.store.commit import TABLES, Manifest, check_sequences, read_manifest, read_skeletons, read_table
 from motionkit.store.reader import ROWS_AT_ONCE, PartReader
-from motionkit.store.schema import SEQUENCES, SEQUENCES_FILE, SKELETONS_FILE, part_number
+from motionkit.store.schema import SEQUENCES, SKELETONS_FILE, part_number
 
 # People give captions' ends in tenths of seconds, and releases of a data set differ by some frames.
 CAPTION_TOLERANCE_SECONDS = 0.25

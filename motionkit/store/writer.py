@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from motionkit.core import files
 from motionkit.core.errors import StoreError
-from motionkit.core.files import defer_signals
+from motionkit.core.files import SEQUENCES_FILE, defer_signals
 from motionkit.core.motion import Motion
 from motionkit.core.skeleton import Skeleton
 from motionkit.store.commit import (
@@ -32,7 +32,6 @@ from motionkit.store.schema import (
     PART_OPTIONS,
     ROW_GROUP_FRAMES,
     SEQUENCES,
-    SEQUENCES_FILE,
     SEQUENCES_PER_ROW_GROUP,
     SKELETONS,
     SKELETONS_FILE,

@@ -10,7 +10,7 @@ from motionkit.fields.motion_field import to_motion
 from tests.helpers.analytic import analytic_motion
 
 
-def walk(fps: int = 30, seconds: float = 3.0, seed: int = 0) -> Motion:
+def walk(fps: int = 30, seconds: float = 3.0) -> Motion:
     """A walk in a circle with rotations, of the 22 joints."""
     return to_motion(analytic_motion("circle", seconds), Fraction(fps))
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import motionkit as mk
 from motionkit.core import kinematics
-from motionkit.core.motion import Caption
+from motionkit.core.motion import Caption, mirror
 from motionkit.core.skeletons.mapping import map_joints
 from motionkit.features import humanml3d
 from motionkit.io.humanml3d import KIT, Entry, recover_positions
@@ -149,7 +149,7 @@ def test_humanml3d_and_kit(tmp_path: Path, motion: mk.Motion, layout: str, fps: 
 
 
 def test_interhuman(tmp_path: Path, motion: mk.Motion) -> None:
-    other = walk(seed=5)
+    other = mirror(motion)
     rows, others = interhuman_rows(motion), interhuman_rows(other)
     assert rows.shape[1] == 262
     alone = _read(tmp_path / "alone.npy", rows)
