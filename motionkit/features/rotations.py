@@ -94,8 +94,7 @@ def poses_of(
 def to_window(vectors: Rows, yaw: Yaw, origin: Origin) -> Float32[np.ndarray, "windows poses numbers"]:
     """World → window: subtract the origin (x, z in metres), then rotate the root by −yaw about +Y."""
     result = vectors.astype(np.float32)
-    result[..., 0] -= origin[:, None, 0]
-    result[..., 2] -= origin[:, None, 1]
+    result[..., [0, 2]] -= origin[:, None]
     _turn(result, -yaw)
     return result
 
@@ -104,8 +103,7 @@ def to_world(vectors: Rows, yaw: Yaw, origin: Origin) -> Float32[np.ndarray, "wi
     """Window → world: the inverse of `to_window`."""
     result = vectors.astype(np.float32)
     _turn(result, yaw)
-    result[..., 0] += origin[:, None, 0]
-    result[..., 2] += origin[:, None, 1]
+    result[..., [0, 2]] += origin[:, None]
     return result
 
 
