@@ -31,7 +31,7 @@ from eval.clip_fid.score import (
     rate_of_change,
     samples_at_one_framerate,
 )
-from eval.metrics.number import units_of
+from eval.metrics.intervals import units_of
 from eval.sets.sets import SampleSet
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float32, Float64

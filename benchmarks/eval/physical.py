@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from eval.metrics.intervals import half_width
 from eval.metrics.metric import Metric
-from eval.metrics.number import half_width
 from eval.report.results import (
     Block,
     Cell,

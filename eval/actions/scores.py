@@ -7,16 +7,9 @@ from typing import Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from eval.metrics import intervals
 from eval.metrics.actions import accuracy, diversity, multimodality_by_class, shares_of_hits
 from eval.metrics.distributions import fit_gaussian, frechet_distance
-from eval.metrics.number import (
-    Resampled,
-    Scores,
-    resampled_fid,
-    resampled_mean_distance,
-    units_of_draws,
-    weighted_means,
-)
 from motionkit.core.errors import UsageError
 from motionkit.core.shapes import Float, Int
 
@@ -72,7 +65,7 @@ class Recognition:
 
 def score_actions(
     references: Mapping[str, Features], draws: Sequence[Recognition], protocol: ActionProtocol, seed: int
-) -> Scores:
+) -> intervals.Scores:
     """Accuracy, FID, Diversity and MultiModality of generated (or real) motions under a protocol.
 
     `references` are features of real motions by set: "train" and "test" give `fid_train` and `fid_test`. `draws` are
@@ -80,7 +73,7 @@ def score_actions(
     has fewer motions. Remarks say where the data has less than the protocol. Raises `ValueError` for different numbers
     of features, or for non-finite values.
     """
-    scores = Scores(remarks=list(protocol.remarks))
+    scores = intervals.Scores(remarks=list(protocol.remarks))
     # As in `fid`: one thread of the linear algebra library is the fastest for matrices of this size.
     with threadpool_limits(1, "blas"):
         gaussians = {name: fit_gaussian(features) for name, features in references.items()}
@@ -114,21 +107,21 @@ def score_actions(
 
 def _resampled(
     references: Mapping[str, Features], draws: Sequence[Recognition], protocol: ActionProtocol
-) -> dict[str, Resampled]:
+) -> dict[str, intervals.Resampled]:
     """Every metric's bootstrap values; motions are resampled jointly in all sets, and with them their draws."""
     takes = [[str(row) for row in range(len(draw.labels))] for draw in draws]
-    units = units_of_draws(takes)
+    units = intervals.units_of_draws(takes)
     weights, unit = units.weights(), units.unit
     features = np.concatenate([draw.features for draw in draws]).astype(np.float64)
     labels = np.concatenate([draw.labels for draw in draws])
     shares = np.concatenate([shares_of_hits(draw.scores, draw.labels) for draw in draws])
     suffix = "" if protocol.pairs == "different" else "_with_replacement"
     values = {
-        "accuracy": weighted_means(shares, unit, weights),
-        f"diversity{suffix}": resampled_mean_distance(features, unit, weights),
-        f"multimodality_by_class{suffix}": resampled_mean_distance(features, unit, weights, labels),
+        "accuracy": intervals.weighted_means(shares, unit, weights),
+        f"diversity{suffix}": intervals.resampled_mean_distance(features, unit, weights),
+        f"multimodality_by_class{suffix}": intervals.resampled_mean_distance(features, unit, weights, labels),
     }
     for name, real in references.items():
         names = [str(row) for row in range(len(real))]
-        values[f"fid_{name}"] = resampled_fid(real.astype(np.float64), names, features, takes)
+        values[f"fid_{name}"] = intervals.resampled_fid(real.astype(np.float64), names, features, takes)
     return values

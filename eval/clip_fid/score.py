@@ -26,18 +26,8 @@ import numpy.typing as npt
 import scipy.fft
 from threadpoolctl import threadpool_limits
 
-from eval.metrics import distributions
+from eval.metrics import distributions, intervals
 from eval.metrics.metric import Metric
-from eval.metrics.number import (
-    RESAMPLINGS,
-    Number,
-    Resampled,
-    UnitSums,
-    blocks_for,
-    over_replications,
-    resampled_fids,
-    units_of,
-)
 from eval.sets.sets import Missing, Ragged, SampleSet, sample_set
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Motion
@@ -353,7 +343,7 @@ class Protocol:
     detailed_replications: int = 1
     num_neighbours: int = 5
     seed: int = 0
-    resamplings: int = RESAMPLINGS
+    resamplings: int = intervals.RESAMPLINGS
 
     @property
     def sizes(self) -> Int64[np.ndarray, "sizes"]:
@@ -477,7 +467,7 @@ class Comparison:
         rows: Mapping[RowKey, SampleSet],
         on_replication: Callable[[], None] = lambda: None,
         subset_sizes: Mapping[RowKey, int] | None = None,
-    ) -> dict[RowKey, Number]:
+    ) -> dict[RowKey, intervals.Number]:
         """clip-FID of every row's sample set; `on_replication` is called after each replication.
 
         Intervals are over takes (and generations, if there are several) and the drawing of clips; without resamplings
@@ -501,8 +491,9 @@ class Comparison:
         ]
         by_take = []
         for samples in (real, *(rows[name] for name in resampled)):
-            blocks = blocks_for(max(real.num_takes, samples.num_takes), self.centre.size)
-            by_take.append(UnitSums(units_of(samples.take_names, samples.generations, blocks), self.centre))
+            blocks = intervals.blocks_for(max(real.num_takes, samples.num_takes), self.centre.size)
+            units = intervals.units_of(samples.take_names, samples.generations, blocks)
+            by_take.append(intervals.UnitSums(units, self.centre))
 
         def replicate(replication: int) -> tuple[dict[RowKey, dict[str, float]], list[tuple[Clips, Features]]]:
             clips = draw_clips(real, protocol, replication, REAL)
@@ -531,13 +522,13 @@ class Comparison:
                 sums.add(features, clips.sequence)
             on_replication()
         with threadpool_limits(1, "blas"):
-            fids = resampled_fids(by_take[0], by_take[1:], protocol.resamplings, protocol.seed)
+            fids = intervals.resampled_fids(by_take[0], by_take[1:], protocol.resamplings, protocol.seed)
         of_rows = dict(zip(resampled, fids, strict=True))
         return {
             name: self._summarised(each, of_rows.get(name, ()), name in subsets) for name, each in replications.items()
         }
 
-    def disjoint_halves(self, on_replication: Callable[[], None] = lambda: None) -> Number:
+    def disjoint_halves(self, on_replication: Callable[[], None] = lambda: None) -> intervals.Number:
         """clip-FID between random disjoint halves of the real takes (P2), one split per replication.
 
         The interval is 1.96 standard deviations of single splits. Raises `ClipError` for a single take.
@@ -582,13 +573,16 @@ class Comparison:
 
         return compare
 
-    def _summarised(self, replications: list[dict[str, float]], resampled: Resampled, single_sets: bool) -> Number:
+    def _summarised(
+        self, replications: list[dict[str, float]], resampled: intervals.Resampled, single_sets: bool
+    ) -> intervals.Number:
         """The mean; where each replication had its own takes, with the interval of a single one."""
         by_name = {key: [scores[key] for scores in replications if key in scores] for key in replications[0]}
-        score = over_replications(by_name.pop("clip_fid"), resampled)
+        score = intervals.over_replications(by_name.pop("clip_fid"), resampled)
         if single_sets:
             score = replace(score, ci95=float(score.drawing * np.sqrt(self.protocol.replications)))
-        return replace(score, details={name: over_replications(values).value for name, values in by_name.items()})
+        details = {name: intervals.over_replications(values).value for name, values in by_name.items()}
+        return replace(score, details=details)
 
 
 @dataclass(frozen=True)
@@ -669,7 +663,7 @@ def clip_fid(
     clips: int = 4096,
     replications: int = 20,
     seed: int = 0,
-) -> Number:
+) -> intervals.Number:
     """Fréchet distance between random native-rate clips of two sets of motions at one framerate, with its interval.
 
     Motions are `Motion`s, brought to the 22 joints, or arrays [T, 22, 3] in metres, y up, at `fps`. Each replication

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from eval.completion.encoders import Completer
-from eval.metrics.number import Number, quotients, resampling_weights, with_takes
+from eval.metrics.intervals import Number, quotients, resampling_weights, with_takes
 from eval.metrics.registry import find_metric
 from eval.report.results import Block, Cell, Measure, Row, cell_of, differences_block, measure, score_differences
 from eval.sets.sets import RowId

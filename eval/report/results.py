@@ -16,8 +16,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from eval.metrics.intervals import Number
 from eval.metrics.metric import Metric
-from eval.metrics.number import Number
 from eval.metrics.registry import find_metric
 from eval.sets.sets import RowId
 from motionkit.core.errors import MotionkitError, UsageError, describe, shown

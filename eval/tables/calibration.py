@@ -12,7 +12,7 @@ import numpy as np
 
 from eval.clip_fid.score import CLIP_FID, Comparison, feature_sources
 from eval.detail import LEAST_FPS, DetailProfile, RealDetail
-from eval.metrics.number import Number
+from eval.metrics.intervals import Number
 from eval.report.results import Block, Cell, Row, measure
 from eval.sets.damage import FAMILIES, NUM_GAMES, Family, games, shift_by_half_a_frame
 from eval.sets.motions import real_motion

@@ -10,8 +10,8 @@ from fractions import Fraction
 
 import numpy as np
 
+from eval.metrics.intervals import Number, Units, quotients, units_of, with_takes
 from eval.metrics.metric import Metric
-from eval.metrics.number import Number, Units, quotients, units_of, with_takes
 from eval.metrics.physical import METRICS, ground_height
 from eval.metrics.physical_published import METRICS as PUBLISHED
 from eval.metrics.registry import find_metric

@@ -13,7 +13,7 @@ import numpy as np
 from eval.clip_fid.score import KINEMATIC, ClipError, Comparison, FeatureSource
 from eval.detail import LEAST_FPS, RealDetail
 from eval.detail import VERSION as DETAIL_VERSION
-from eval.metrics.number import Number
+from eval.metrics.intervals import Number
 from eval.report.results import Block, Cell, Row, pairs_of
 from eval.sample_folder.folder import samples_of_takes, takes_of_samples
 from eval.sets import motions

@@ -9,36 +9,16 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
+from eval.metrics import intervals, retrieval
 from eval.metrics.actions import NUM_PAIRS, diversity, multimodality, multimodality_shared_pairs
 from eval.metrics.actions import PAIRS as DIVERSITY_PAIRS
 from eval.metrics.distributions import fid_infinity, fit_gaussian, frechet_distance, kid
-from eval.metrics.number import (
-    Number,
-    Resampled,
-    Scores,
-    over_replications,
-    resampled_fid,
-    resampled_mean_distance,
-    resampling_weights,
-    units_of_draws,
-    weighted_means,
-)
-from eval.metrics.retrieval import (
-    RECALL_RANKS,
-    clip_score,
-    cosines,
-    hits,
-    least_similar,
-    pool_distances,
-    retrieval,
-    tmr_score,
-)
 from eval.text_motion.protocol import NUM_GENERATIONS, RetrievalRule, TextMotionProtocol
 from motionkit.core.shapes import Bool, Float, Float64, Int64
 
 Sentences = Float[np.ndarray, "pairs numbers"]
 Repeated = Float[np.ndarray, "texts generations features"]
-PAIR_SCORES = {"clip_score": clip_score, "tmr_score": tmr_score}
+PAIR_SCORES = {"clip_score": retrieval.clip_score, "tmr_score": retrieval.tmr_score}
 GENERATED, REAL, DIVERSITY, MULTIMODALITY, RETRIEVAL = 0, 1, 2, 3, 9
 """Random streams, so that a metric's draws do not affect another's."""
 SUFFIXES = {
@@ -75,42 +55,43 @@ class PairTerms:
 
     def __init__(self, draws: Sequence[TextMotionPairs]) -> None:
         self._draws, self._takes = draws, [draw.take_names for draw in draws]
-        self._units = units_of_draws(self._takes)
+        self._units = intervals.units_of_draws(self._takes)
         self._values: dict[str, list[Float64[np.ndarray, _queries]]] = defaultdict(list)
         self._rows: list[Int64[np.ndarray, _queries]] = []
 
-    def add(self, which: int, order: Int64[np.ndarray, "chosen"], pool: int, scores: Scores) -> None:
+    def add(self, which: int, order: Int64[np.ndarray, "chosen"], pool: int, scores: intervals.Scores) -> None:
         """Rank the pairs of one draw in pools that are cut from `order`; add a replication to `scores`."""
         draw, first = self._draws[which], sum(len(each.motions) for each in self._draws[:which])
-        distances = pool_distances(draw.texts, draw.motions, order, pool)
+        distances = retrieval.pool_distances(draw.texts, draw.motions, order, pool)
         values = {"mm_dist": np.diagonal(distances, axis1=1, axis2=2)}
         for suffix, directed in (("", distances), ("_motion_asks", distances.swapaxes(1, 2))):
-            for rank, shares in enumerate(hits(directed), start=1):
+            for rank, shares in enumerate(retrieval.hits(directed), start=1):
                 values[f"r_precision_top{rank}{suffix}"] = shares
         for name, own in values.items():
             scores.add(name, float(own.mean()))
             self._values[name].append(own.ravel())
         self._rows.append(first + order[: len(order) // pool * pool])
 
-    def resampled_means(self) -> dict[str, Resampled]:
+    def resampled_means(self) -> dict[str, intervals.Resampled]:
         """R-Precision and MM-Dist in the bootstrap over takes."""
         unit, weights = self._units.unit[np.concatenate(self._rows)], self._units.weights()
-        return {name: weighted_means(np.concatenate(values), unit, weights) for name, values in self._values.items()}
+        values = {name: np.concatenate(each) for name, each in self._values.items()}
+        return {name: intervals.weighted_means(each, unit, weights) for name, each in values.items()}
 
-    def resampled(self, real: TextMotionPairs, pair_score: str) -> dict[str, Resampled]:
+    def resampled(self, real: TextMotionPairs, pair_score: str) -> dict[str, intervals.Resampled]:
         """Every metric in the bootstrap over takes; none if there is a single take."""
         if len(set(self._units.takes)) < 2:
             return {}
         unit, weights = self._units.unit, self._units.weights()
         motions = np.concatenate([draw.motions for draw in self._draws]).astype(np.float64)
         values = self.resampled_means() | {
-            "fid": resampled_fid(real.motions.astype(np.float64), real.take_names, motions, self._takes),
-            "diversity": resampled_mean_distance(motions, unit, weights),
+            "fid": intervals.resampled_fid(real.motions.astype(np.float64), real.take_names, motions, self._takes),
+            "diversity": intervals.resampled_mean_distance(motions, unit, weights),
         }
         if pair_score:
             pairs = [pair for draw in self._draws for pair in zip(draw.texts, draw.motions, strict=True)]
             of_pairs = np.array([PAIR_SCORES[pair_score](text[None], motion[None]) for text, motion in pairs])
-            values[pair_score] = weighted_means(of_pairs, unit, weights)
+            values[pair_score] = intervals.weighted_means(of_pairs, unit, weights)
         return values
 
 
@@ -122,7 +103,7 @@ def score_text_motion(
     *,
     repeated: Repeated | None = None,
     pair_score: str = "",
-) -> Scores:
+) -> intervals.Scores:
     """R-Precision in both directions, MM-Dist, FID, Diversity and MultiModality of generated motions by a protocol.
 
     `draws` are independent generations of the whole set; replication r takes draw r modulo their number, so with fewer
@@ -138,7 +119,7 @@ def score_text_motion(
             f"protocol {protocol.name!r} compares with the real motions of the same texts, but there are "
             f"{len(draws[0].motions)} generated and {len(real.motions)} real ones: choose another protocol (t2m, mdm)"
         )
-    scores, terms = Scores(remarks=list(protocol.remarks)), PairTerms(draws)
+    scores, terms = intervals.Scores(remarks=list(protocol.remarks)), PairTerms(draws)
 
     @cache  # whole sets are compared once
     def fid(which: int, rows: bytes, real_rows: bytes) -> float:
@@ -198,7 +179,7 @@ def _num_used(number: int, most: int | None, protocol: TextMotionProtocol) -> in
     return number if protocol.remainder == "R-Precision" else number // protocol.pool * protocol.pool
 
 
-def _add_multimodality(repeated: Repeated, protocol: TextMotionProtocol, seed: int, scores: Scores) -> None:
+def _add_multimodality(repeated: Repeated, protocol: TextMotionProtocol, seed: int, scores: intervals.Scores) -> None:
     """MultiModality over the replications of its rule, and its bootstrap over texts."""
     rule, (texts, generations) = protocol.multimodality, repeated.shape[:2]
     scores.sizes |= {"multimodality texts": texts, "multimodality generations": generations}
@@ -219,8 +200,8 @@ def _add_multimodality(repeated: Repeated, protocol: TextMotionProtocol, seed: i
         scores.add(rule.metric, function(chosen, rng=rng))
     if min(texts, generations) > 1:
         distances = np.linalg.norm(repeated - np.roll(repeated, 1, axis=1), axis=-1).mean(axis=1)
-        weights = resampling_weights([f"text {number}" for number in range(texts)])
-        scores.resampled[rule.metric] = weighted_means(distances, np.arange(texts), weights)
+        weights = intervals.resampling_weights([f"text {number}" for number in range(texts)])
+        scores.resampled[rule.metric] = intervals.weighted_means(distances, np.arange(texts), weights)
 
 
 def score_retrieval(
@@ -230,7 +211,7 @@ def score_retrieval(
     sentences: Sentences,
     seed: int,
     distance: Callable[..., Float[np.ndarray, "queries candidates"]] = cdist,
-) -> dict[str, Number]:
+) -> dict[str, intervals.Number]:
     """Recalls and median ranks by their names in `eval.metrics.metric`, means over the draws (and over pools).
 
     Row i of every draw was generated for text i, whose real motion is row i of `real` and whose sentence embedding, of
@@ -249,12 +230,12 @@ def score_retrieval(
             for direction in rule.directions:
                 queries, candidates = (side[rows] for side in sides[direction])
                 relevant = None if same is None else same[np.ix_(rows, rows)]
-                recall, median_rank = retrieval(distance(queries, candidates), relevant)
+                recall, median_rank = retrieval.retrieval(distance(queries, candidates), relevant)
                 suffix = SUFFIXES[direction]
-                for rank, share in zip(RECALL_RANKS, recall.tolist(), strict=True):
+                for rank, share in zip(retrieval.RECALL_RANKS, recall.tolist(), strict=True):
                     values.setdefault(f"recall_at_{rank}{suffix}", []).append(share)
                 values.setdefault(f"median_rank{suffix}", []).append(median_rank)
-    return {name: over_replications(each) for name, each in values.items()}
+    return {name: intervals.over_replications(each) for name, each in values.items()}
 
 
 def share_of_same_texts(rule: RetrievalRule, pairs: TextMotionPairs, sentences: Sentences) -> float:
@@ -271,7 +252,7 @@ def _same_texts(
     if rule.same_above is None:
         return None
     texts = sentences if rule.same_by == "sentences" else draw.texts
-    same = cosines(texts, texts) > 2.0 * rule.same_above - 1.0
+    same = retrieval.cosines(texts, texts) > 2.0 * rule.same_above - 1.0
     np.fill_diagonal(same, True)
     return same
 
@@ -284,5 +265,5 @@ def _ranked_together(rule: RetrievalRule, sentences: Sentences, seed: int) -> li
         order = np.random.default_rng((seed, RETRIEVAL)).permutation(number)
         return list(order[: number // rule.pool * rule.pool].reshape(-1, rule.pool))
     if rule.least_similar is not None:
-        return [least_similar(cosines(sentences, sentences), rule.least_similar)]
+        return [retrieval.least_similar(retrieval.cosines(sentences, sentences), rule.least_similar)]
     return [np.arange(number)]

@@ -11,7 +11,7 @@ import numpy as np
 from eval.clip_fid.score import CLIP_FID, describer, draw_clips
 from eval.clip_fid.score import REAL as REAL_STREAM
 from eval.metrics.actions import diversity
-from eval.metrics.number import over_replications
+from eval.metrics.intervals import over_replications
 from eval.report.results import Block, Cell, Row, cell_of, measure
 from eval.sets import motions
 from eval.sets.sets import REAL, RowId, SampleSet, Variant

@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from eval.metrics.distributions import fit_gaussian, frechet_distance
-from eval.metrics.number import Number, Scores, over_replications
+from eval.metrics.intervals import Number, Scores, over_replications
 from eval.metrics.registry import find_metric
 from eval.metrics.retrieval import RECALL_RANKS
 from eval.native_evaluator.evaluator import load_evaluator

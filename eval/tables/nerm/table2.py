@@ -8,7 +8,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from eval.clip_fid.score import CLIP_FID, VERSION, FeatureSource, feature_sources
-from eval.metrics.number import Number
+from eval.metrics.intervals import Number
 from eval.report.results import Block, Cell, Row, measure, with_differences
 from eval.sets import motions
 from eval.sets.sets import REAL, Missing, RowId, SampleSet, Variant

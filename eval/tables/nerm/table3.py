@@ -10,7 +10,7 @@ from eval.actions.scores import ActionProtocol, Recognition, find_action_protoco
 from eval.actions.sets import ActionSet, NoActionsError, generated_like, known_actions, known_to_all, with_rotations
 from eval.metrics.actions import accuracy
 from eval.metrics.distributions import kid
-from eval.metrics.number import Number
+from eval.metrics.intervals import Number
 from eval.report.results import Block, Cell, Row, cell_of, measure, score_differences, with_differences
 from eval.sets.motions import VARIANT_NOTES, RealMotion, has_training, real_motion
 from eval.sets.sets import REAL, RowId, check_sample_names, size_remark

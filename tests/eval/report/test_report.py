@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from eval.commands.report import report
-from eval.metrics.number import Number, over_replications
+from eval.metrics.intervals import Number, over_replications
 from eval.report.results import (
     Block,
     Cell,

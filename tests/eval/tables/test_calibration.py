@@ -7,7 +7,7 @@ import pytest
 
 from eval.clip_fid import score
 from eval.clip_fid.score import Comparison, Protocol, fit_on
-from eval.metrics.number import Number
+from eval.metrics.intervals import Number
 from eval.sets.damage import NUM_GAMES
 from eval.sets.sets import SampleSet, sample_set
 from eval.tables.calibration import MIRRORED, Scored, calibrate, first_detected, spearman, won

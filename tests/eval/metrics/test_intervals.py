@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eval.metrics.distributions import fit_gaussian
-from eval.metrics.number import (
+from eval.metrics.intervals import (
     Number,
     UnitSums,
     blocks_for,
