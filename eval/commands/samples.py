@@ -12,7 +12,6 @@ import typer
 from motionkit.cli.console import AsJson, Overwrite, Up, parse_rate, print_json, progress, stderr, stdout
 from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import require_new, write_whole
-from motionkit.core.progress import task
 
 if TYPE_CHECKING:
     from eval.sample_folder import SampleFolder
@@ -34,8 +33,8 @@ def samples(
 
     if init:
         _write_manifest(folder, {"fps": fps, "up": up}, overwrite)
-    with progress() as show, task(show, "reading") as work:
-        read = read_sample_folder(folder.name, folder, SampleOptions(parse_rate(fps), up or ""), work.set)
+    with progress() as show:
+        read = read_sample_folder(folder.name, folder, SampleOptions(parse_rate(fps), up or ""), show)
     summary = _summary(read)
     if as_json:
         print_json(summary)

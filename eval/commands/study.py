@@ -9,7 +9,6 @@ from eval.commands.eval import framerates, named_samples
 from motionkit.cli import console
 from motionkit.core.errors import UsageError, counted
 from motionkit.core.files import default_path, require_new
-from motionkit.core.progress import task
 
 if TYPE_CHECKING:
     from eval.study.trials import Preference
@@ -62,8 +61,7 @@ def make(
     with console.progress() as show:
         systems = []
         for name, path in named_samples(samples or [], folder).items():
-            with task(show, f"read {name}") as work:
-                read = read_sample_folder(name, path, options, work.set)
+            read = read_sample_folder(name, path, options, show)
             for problem in read.left_out:
                 console.stderr.print(f"left out of {name!r}: {problem}")
             systems.append(of_motions(read))

@@ -3,7 +3,7 @@
 import os
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from fractions import Fraction
@@ -18,6 +18,7 @@ from eval.sample_folder.folder import SampleFolder, SampleFolderError, SampleMot
 from motionkit.core.errors import FormatError, counted, describe, shown
 from motionkit.core.files import parse_toml, whole_number
 from motionkit.core.motion import Motion
+from motionkit.core.progress import OnProgress, ignore, task
 from motionkit.core.shapes import Float, Float32
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.skeletons.mapping import SkeletonMapError, joint_map, map_joints
@@ -293,12 +294,9 @@ class SampleOptions:
 
 
 def read_sample_folder(
-    name: str,
-    source: Path,
-    options: SampleOptions | None = None,
-    on_read: Callable[[int, int], None] = lambda done, total: None,
+    name: str, source: Path, options: SampleOptions | None = None, on_progress: OnProgress = ignore
 ) -> SampleFolder:
-    """Read every motion of a folder, or of one file; `on_read` gets the number of files read and of all files.
+    """Read every motion of a folder, or of one file.
 
     Motions that cannot be read, whose framerate is not known, that hold NaN or are no human bodies are in `left_out`.
     Raises `SampleFolderError` without any other motion, for missing metadata (statistics of pose vectors), or for
@@ -307,18 +305,19 @@ def read_sample_folder(
     reader = _Reader(name, list_samples(name, source), options or SampleOptions())
     listing, left_out = reader.listing, list(reader.listing.problems)
 
-    def motions_of(files: Sequence[Path | SourceItem], num_before: int) -> Iterator[SampleMotion]:
-        for number, file in enumerate(files, start=num_before + 1):
+    def motions_of(files: Sequence[Path | SourceItem]) -> Iterator[SampleMotion]:
+        for file in files:
             for motion in reader.motions(file):
                 if isinstance(motion, SampleMotion):
                     yield motion
                 else:
                     left_out.append(motion)
-            on_read(number, len(listing.arrays) + len(listing.items))
+            work.advance()
 
-    # Other formats than plain arrays are turned when they are read.
-    arrays, remark = upright(list(motions_of(listing.arrays, 0)), reader.up)
-    motions = [*arrays, *motions_of(listing.items, len(listing.arrays))]
+    with task(on_progress, f"reading {name}", len(listing.arrays) + len(listing.items)) as work:
+        # Other formats than plain arrays are turned when they are read.
+        arrays, remark = upright(list(motions_of(listing.arrays)), reader.up)
+        motions = [*arrays, *motions_of(listing.items)]
     if not motions:
         raise SampleFolderError(f"--samples {name}: no motion can be read: {left_out_line(left_out, 0)}")
     for rows in reader.vectors.values():

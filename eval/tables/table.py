@@ -19,7 +19,7 @@ from eval.sets.motions import of_split_and
 from eval.sets.sets import Missing
 from motionkit.core import plugins
 from motionkit.core.errors import UsageError
-from motionkit.core.progress import OnProgress, ignore, task
+from motionkit.core.progress import OnProgress, ignore
 from motionkit.core.timegrid import parse_fps
 from motionkit.store.reader import Store
 from motionkit.training.run import Loader
@@ -80,14 +80,10 @@ class EvalConfig:
     @cached_property
     def sample_folders(self) -> tuple[SampleFolder, ...]:
         """The motions of every folder of samples, read when first accessed; raises `SampleFolderError`."""
-        folders = []
         # Only published evaluators read pose vectors and KIT-ML's joints.
         keep = self.guo is not None or self.motion_clip is not None
         options = replace(self.sample_options, keep_published=keep)
-        for name, path in self.samples.items():
-            with task(self.on_progress, f"reading {name}") as work:
-                folders.append(read_sample_folder(name, path, options, work.set))
-        return tuple(folders)
+        return tuple(read_sample_folder(*named, options, self.on_progress) for named in self.samples.items())
 
 
 @dataclass(frozen=True)

@@ -46,9 +46,9 @@ class Task:
         self._on_progress, self._progress = on_progress, progress
         on_progress(progress)
 
-    def advance(self) -> None:
-        """Add a step to those done."""
-        self._report(replace(self._progress, done=self._progress.done + 1))
+    def advance(self, count: int = 1) -> None:
+        """Add steps to those done."""
+        self._report(replace(self._progress, done=self._progress.done + count))
 
     def set_total(self, total: int) -> None:
         """Set the number of steps, once it is known."""
