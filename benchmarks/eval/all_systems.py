@@ -8,7 +8,7 @@
 A budget is the processor time that the operating system counts for a system's trainings, from the start of Python to
 the last weight on disk, with an empty cache each: reading the store, pose vectors, text embeddings, linear fits,
 autoencoders and contact heads are in it. Each system has five trials on the validation part: three learning rates, then
-guidance and sampling steps, or batch sizes and a rate more where nothing is guided. The best by clip-FID of planted
+guidance and sampling steps, or half the batch and a rate more where nothing is guided. The best by clip-FID of planted
 motion at 60 fps is trained with each seed. All motion is planted by detected contacts; NeRM's by its own too.
 """
 
@@ -18,37 +18,41 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
+from fractions import Fraction
+from functools import lru_cache
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmarks.command import arguments_parser
+from eval.clip_fid.score import Protocol
+from eval.sets.motions import generate_fields, planted_fields
+from eval.sets.sets import RowId, Variant
+from eval.tables.systems import Yardstick
+from eval.tables.table import EvalConfig
 from motionkit.core import plugins
 from motionkit.core.files import sha256_of, write_json
-from motionkit.generate.models import installed_models
-from motionkit.training.config import flatten, parse_override
-from motionkit.training.loop import load_tensors, save_tensors
+from motionkit.generate.models import SamplingOptions, installed_models
+from motionkit.store.reader import Store
+from motionkit.training.config import flatten
 from motionkit.training.run import RunFolder
 from nerm.model import load_denoiser, load_field, save_denoiser, save_field
 from nerm.recipes import LOCAL
 
 TRIALS = Path("docs/results/all-systems-trials.json")
-TRIAL_SEED, TRIAL_SECONDS, TRIAL_FPS = 10, 120.0, "60 fps"
+TRIAL_SEED, TRIAL_SECONDS, TRIAL_FPS = 10, 120.0, Fraction(60)
 # What a process needs outside of a stage's clock, in processor seconds.
 OUTSIDE_SECONDS = 2.0
-FACTORS = (1.0, 3.0, 1 / 3)
-# Each system's two trials of how a trained network is sampled.
+# Trials of how a trained network is sampled. Others have two more trainings instead.
 GUIDED = {
     "nerm": ("denoiser:denoiser.diffusion.guidance_scale=1", "denoiser:denoiser.diffusion.sampling_steps=25"),
-    "mdm": ("mdm:network.diffusion.guidance_scale=1", "mdm:network.diffusion.sampling_steps=10"),
-    "mdm-50": ("mdm-50:network.diffusion.guidance_scale=1", "mdm-50:network.diffusion.sampling_steps=10"),
-    "mld": ("mld:network.diffusion.guidance_scale=1", "mld:network.diffusion.guidance_scale=2.5"),
+    "mdm": ("mdm:network.diffusion.guidance_scale=1", "mdm:network.diffusion.sampling_steps=20"),
+    "mdm-50": ("mdm-50:network.diffusion.guidance_scale=1", "mdm-50:network.diffusion.sampling_steps=20"),
+    "mld": ("mld:network.diffusion.guidance_scale=1", "mld:network.diffusion.sampling_steps=20"),
     "camdm": ("camdm:network.diffusion.guidance_scale=1.5", "camdm:network.diffusion.guidance_scale=2.5"),
-    "flow": ("flow:network.guidance_scale=2", "flow:network.sampling_steps=10"),
 }
 # Encoding variations takes longer than six minutes; 1,000 steps of MDM take 6 s a motion.
 FIXED = {"nerm": ("denoiser:denoiser.variations=0",), "mdm": ("mdm:network.diffusion.sampling_steps=50",)}
@@ -78,18 +82,6 @@ def halved_batches(system: str) -> tuple[str, ...]:
     return tuple(f"{stage}:schedule.batch_size={schedule.batch_size // 2}" for stage, schedule in schedules.items())
 
 
-def candidates(system: str, scores: Sequence[float]) -> tuple[tuple[str, ...], ...]:
-    """The settings of the trials that can be made after those with `scores`: three rates, then two more."""
-    first = [rates(system, factor) for factor in FACTORS]
-    if len(scores) < len(FACTORS):
-        return tuple(first)
-    best = int(np.argmin(scores[: len(FACTORS)]))
-    if system in GUIDED:
-        return (*first, *((*first[best], each) for each in GUIDED[system]))
-    beyond = {0: 3**0.5, 1: 9.0, 2: 1 / 9}[best]
-    return (*first, rates(system, beyond), (*first[best], *halved_batches(system)))
-
-
 def train(system: str, run: Path, store: Path, budget: float, settings: Iterable[str], seed: int) -> None:
     """Train a system's stages into a run; each gets its share of what earlier ones have left."""
     cache, stages, left = run.parent / f"cache-{run.name}-{system}", stages_of(system), budget
@@ -114,23 +106,6 @@ def train(system: str, run: Path, store: Path, budget: float, settings: Iterable
     print(f"{run.name}: {system} took {budget - left:.1f} of {budget:g} processor seconds", file=sys.stderr)
 
 
-def sample_otherwise(trained: Path, run: Path, system: str, settings: Iterable[str]) -> None:
-    """Copy a system to another run, to be sampled with other settings."""
-    for stage, _ in stages_of(system):
-        shutil.copytree(trained / stage, run / stage, dirs_exist_ok=True)
-    for stage, _, text in (each.partition(":") for each in settings):
-        key, value = parse_override(text)
-        folder = RunFolder(run).stage(stage)
-        tensors, description = load_tensors(folder.model_path)
-        config = description["config"]
-        *names, last = key.removeprefix("denoiser.").split(".")
-        for name in names:
-            config = config[name]
-        config[last] = type(config[last])(value)
-        save_tensors(folder.model_path, tensors, description)
-        folder.finish(folder.read_summary())
-
-
 def evaluate(table: str, run: Path, store: Path, results: Path, *options: str) -> dict[str, Any]:
     """A table of a run, as JSON."""
     command = [sys.executable, "-m", "motionkit", "eval", "--table", table, "--store", str(store), "--json"]
@@ -141,43 +116,52 @@ def evaluate(table: str, run: Path, store: Path, results: Path, *options: str) -
     return found
 
 
-def planted_scores(result: Mapping[str, Any]) -> dict[str, float]:
-    """clip-FID of planted motion at `TRIAL_FPS` by system's name in tables."""
-    rows = {row["name"]: row["cells"] for row in result["blocks"][0]["rows"]}
-    suffix = ", planted"
-    return {n.removesuffix(suffix): rows[n][TRIAL_FPS]["value"] for n in rows if n.endswith(suffix)}
-
-
 def title(system: str) -> str:
     """A system's name in tables."""
     return LOCAL if system == "nerm" else installed_models()[system].title
 
 
-def run_trials(systems: Sequence[str], runs: Path, store: Path, results: Path) -> None:
-    """Five trials of each system on the validation part; writes the settings and scores of all to `TRIALS`."""
-    scores: dict[str, list[float]] = {system: [] for system in systems}
-    found: dict[str, list[dict[str, Any]]] = {system: [] for system in systems}
+@lru_cache(1)
+def yardstick(store: Path) -> Yardstick:
+    """Real motion of the validation part."""
+    clips = Protocol(replications=4, resamplings=0, detailed_replications=0)
+    return Yardstick.of(Store.open(store), EvalConfig(store, Path(), split="val", clips=clips), (TRIAL_FPS,))
 
-    def prepare(system: str, number: int) -> None:
-        settings, run = candidates(system, scores[system])[number], runs / f"trial-{number}"
-        if number >= len(FACTORS) and system in GUIDED:
-            best = int(np.argmin(scores[system][: len(FACTORS)]))
-            sample_otherwise(runs / f"trial-{best}", run, system, settings)
-        else:
-            without_contacts = ("field:field.contact_steps=0",) if system == "nerm" else ()
-            train(system, run, store, TRIAL_SECONDS, (*settings, *without_contacts), TRIAL_SEED)
-        found[system].append({"settings": settings})
 
-    for number in range(len(FACTORS) + 2):
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            list(pool.map(prepare, systems, [number] * len(systems)))
-        options = ("--split", "val", "--fps", TRIAL_FPS.partition(" ")[0], "--replications", "4")
-        of_run = planted_scores(evaluate("2", runs / f"trial-{number}", store, results, *options))
-        for system in systems:
-            score = of_run.get(title(system), math.inf)
-            scores[system].append(score)
-            found[system][number]["clip_fid"] = score
-    write_json(TRIALS, {"seconds": TRIAL_SECONDS, "seed": TRIAL_SEED, "trials": found})
+def score(system: str, run: Path, store: Path, settings: Sequence[str] = ()) -> float:
+    """clip-FID of a system's planted motion on the validation part; the settings are of its sampling."""
+    options = {name.rpartition(".")[2]: float(value) for name, value in (each.split("=") for each in settings)}
+    steps = int(options["sampling_steps"]) if "sampling_steps" in options else None
+    row, real = RowId(title(system), Variant.PLANTED), yardstick(store)
+    model = installed_models()[system].load(run)
+    sampling = SamplingOptions(guidance_scale=options.get("guidance_scale"), steps=steps)
+    fields = generate_fields(model, real.windows(model), 0, 1024, sampling)
+    cells = real.clip_fid(row, real.sets(row, planted_fields(fields)))
+    return next((cell.value for cell in cells.values()), math.inf)
+
+
+def trials(system: str, runs: Path, store: Path) -> list[dict[str, Any]]:
+    """Five trials of a system: three rates, then two of the best rate's sampling or training."""
+    found: list[dict[str, Any]] = []
+
+    def training(*settings: str) -> float:
+        run = runs / f"trial-{len(found)}"
+        without_contacts = ("field:field.contact_steps=0",) if system == "nerm" else ()
+        train(system, run, store, TRIAL_SECONDS, (*settings, *without_contacts), TRIAL_SEED)
+        found.append({"settings": settings, "clip_fid": score(system, run, store)})
+        return float(found[-1]["clip_fid"])
+
+    is_higher = training(*rates(system, 1.0)) > training(*rates(system, 3.0))
+    training(*rates(system, 9.0 if is_higher else 1 / 3))
+    number, best = min(enumerate(found), key=lambda each: float(each[1]["clip_fid"]))
+    for each in GUIDED.get(system, ()):
+        value = score(system, runs / f"trial-{number}", store, (each,))
+        found += [{"settings": (*best["settings"], each), "clip_fid": value}]
+    if system not in GUIDED:
+        training(*best["settings"], *halved_batches(system))
+        training(*rates(system, 3.0**0.5))
+    print(json.dumps({system: found}), file=sys.stderr, flush=True)
+    return found
 
 
 def chosen(system: str) -> tuple[str, ...]:
@@ -224,7 +208,11 @@ def main() -> None:
     given = parser.parse_args()
     systems = given.systems.split(",")
     if given.command == "trials":
-        run_trials(systems, given.runs, given.store, given.results)
+        with ProcessPoolExecutor(len(os.sched_getaffinity(0)), get_context("spawn")) as pool:
+            count = len(systems)
+            found = pool.map(trials, systems, [given.runs] * count, [given.store] * count)
+            of_system = dict(zip(systems, found, strict=True))
+        write_json(TRIALS, {"seconds": TRIAL_SECONDS, "seed": TRIAL_SEED, "trials": of_system})
     elif given.command == "evaluate":
         evaluate_runs(given.runs, given.store, given.results, given.evaluator)
     else:
