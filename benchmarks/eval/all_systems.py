@@ -20,6 +20,7 @@ import subprocess
 import sys
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
 from functools import lru_cache
@@ -38,7 +39,7 @@ from motionkit.core.files import sha256_of, write_json
 from motionkit.generate.models import SamplingOptions, installed_models
 from motionkit.store.reader import Store
 from motionkit.training.config import flatten
-from motionkit.training.run import RunFolder
+from motionkit.training.run import RunError, RunFolder
 from nerm.model import load_denoiser, load_field, save_denoiser, save_field
 from nerm.recipes import LOCAL
 
@@ -99,7 +100,7 @@ def train(system: str, run: Path, store: Path, budget: float, settings: Iterable
                 process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
                 _, status, usage = os.wait4(process.pid, 0)
             if status:
-                raise SystemExit(f"{' '.join(command)} failed: {log.name}")
+                raise RunError(f"{' '.join(command)} failed: {log.name}")
             spent_path.write_text(json.dumps({"cpu_seconds": usage.ru_utime + usage.ru_stime}))
         left -= json.loads(spent_path.read_text())["cpu_seconds"]
     shutil.rmtree(cache, ignore_errors=True)
@@ -136,8 +137,8 @@ def score(system: str, run: Path, store: Path, settings: Sequence[str] = ()) -> 
     model = installed_models()[system].load(run)
     sampling = SamplingOptions(guidance_scale=options.get("guidance_scale"), steps=steps)
     fields = generate_fields(model, real.windows(model), 0, 1024, sampling)
-    cells = real.clip_fid(row, real.sets(row, planted_fields(fields)))
-    return next((cell.value for cell in cells.values()), math.inf)
+    (cell,) = real.clip_fid(row, real.sets(row, planted_fields(fields))).values()
+    return cell.value
 
 
 def trials(system: str, runs: Path, store: Path) -> list[dict[str, Any]]:
@@ -147,13 +148,16 @@ def trials(system: str, runs: Path, store: Path) -> list[dict[str, Any]]:
     def training(*settings: str) -> float:
         run = runs / f"trial-{len(found)}"
         without_contacts = ("field:field.contact_steps=0",) if system == "nerm" else ()
-        train(system, run, store, TRIAL_SECONDS, (*settings, *without_contacts), TRIAL_SEED)
-        found.append({"settings": settings, "clip_fid": score(system, run, store)})
-        return float(found[-1]["clip_fid"])
+        value = None
+        with suppress(RunError):  # a rate at which it diverges
+            train(system, run, store, TRIAL_SECONDS, (*settings, *without_contacts), TRIAL_SEED)
+            value = score(system, run, store)
+        found.append({"settings": settings, "clip_fid": value})
+        return math.inf if value is None else value
 
     is_higher = training(*rates(system, 1.0)) > training(*rates(system, 3.0))
     training(*rates(system, 9.0 if is_higher else 1 / 3))
-    number, best = min(enumerate(found), key=lambda each: float(each[1]["clip_fid"]))
+    number = found.index(best := best_of(found))
     for each in GUIDED.get(system, ()):
         value = score(system, runs / f"trial-{number}", store, (each,))
         found += [{"settings": (*best["settings"], each), "clip_fid": value}]
@@ -164,10 +168,9 @@ def trials(system: str, runs: Path, store: Path) -> list[dict[str, Any]]:
     return found
 
 
-def chosen(system: str) -> tuple[str, ...]:
-    """The settings of a system's best trial."""
-    trials = json.loads(TRIALS.read_text())["trials"][system]
-    return tuple(min(trials, key=lambda trial: float(trial["clip_fid"]))["settings"])
+def best_of(found: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The trial with the lowest clip-FID."""
+    return min(found, key=lambda trial: math.inf if trial["clip_fid"] is None else float(trial["clip_fid"]))
 
 
 def split_contacts(run: Path) -> Path:
@@ -217,11 +220,12 @@ def main() -> None:
         evaluate_runs(given.runs, given.store, given.results, given.evaluator)
     else:
         seeds = [int(seed) for seed in given.seeds.split(",")]
+        settings = {name: best_of(of)["settings"] for name, of in json.loads(TRIALS.read_text())["trials"].items()}
 
         def train_one(job: tuple[int, str]) -> None:
             seed, system = job
             run = given.runs / f"{given.budget:g}s-{seed}"
-            train(system, run, given.store, given.budget, chosen(system), seed)
+            train(system, run, given.store, given.budget, settings[system], seed)
 
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
             list(pool.map(train_one, [(seed, system) for seed in seeds for system in systems]))
