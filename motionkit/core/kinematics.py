@@ -80,15 +80,20 @@ def matrix_to_quaternion(matrix: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarra
     return np.asarray(q, dtype=matrix.dtype).reshape(*matrix.shape[:-2], 4)
 
 
+def _dot(a: Float[np.ndarray, "*n d"], b: Float[np.ndarray, "*n d"]) -> Float[np.ndarray, "*n 1"]:
+    # Four times as fast as a sum over an axis of three or four numbers.
+    return np.einsum("...i,...i->...", a, b)[..., None]
+
+
 def quaternion_between(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*m 3"]) -> Float[np.ndarray, "*k 4"]:
     """The shortest rotation that takes direction a to direction b (no twist). Shapes broadcast; lengths are ignored.
 
     Opposite directions turn by π about an arbitrary perpendicular axis; zero vectors give the identity.
     """
     a, b = np.broadcast_arrays(a, b)
-    lengths = np.linalg.norm(a, axis=-1, keepdims=True) * np.linalg.norm(b, axis=-1, keepdims=True)
-    q = np.concatenate((lengths + np.sum(a * b, axis=-1, keepdims=True), np.cross(a, b)), axis=-1)
-    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    lengths = _dot(a, a) ** 0.5 * _dot(b, b) ** 0.5
+    q = np.concatenate((lengths + _dot(a, b), np.cross(a, b)), axis=-1)
+    norm = _dot(q, q) ** 0.5
     opposite = (norm <= 1e-7 * np.maximum(lengths, 1e-30)) & (lengths > 0)
     if np.any(opposite):
         axis = np.cross(
@@ -96,10 +101,11 @@ def quaternion_between(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*m 3"
         )
         half_turn = np.concatenate((np.zeros_like(axis[..., :1]), axis), axis=-1)
         q = np.where(opposite, half_turn, q)
-        norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    identity = np.zeros_like(q)
-    identity[..., 0] = 1.0
-    return np.where(norm > 0, q / np.where(norm > 0, norm, 1.0), identity)
+        norm = _dot(q, q) ** 0.5
+    is_zero = norm == 0
+    q /= np.where(is_zero, 1, norm)
+    q[..., :1] += is_zero
+    return q
 
 
 def quaternion_slerp(

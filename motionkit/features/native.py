@@ -50,8 +50,8 @@ def vectors(
     positions = joint_positions.astype(np.float64)
     hips, shoulders = across(positions, body)
     angle = np.unwrap(2 * half_angles_to_z(hips + shoulders, SMOOTHING_SECONDS * float(fps)))
-    velocities = _derivative(positions.reshape(len(positions), -1), fps).reshape(positions.shape)
-    relative = relative_to_root(positions, angle)
+    velocities = _derivative(positions.reshape(len(positions), -1), fps).reshape(positions.shape).astype(np.float32)
+    relative = relative_to_root(joint_positions.astype(np.float32, copy=False), angle)
     return pose_rows(
         _derivative(angle[:, None], fps)[:, 0],
         kinematics.rotate_about_y(velocities[:, 0], angle),
