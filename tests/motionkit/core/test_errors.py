@@ -14,14 +14,14 @@ def test_a_task_reports_its_state_after_every_change() -> None:
     reports: list[Progress] = []
     with task(reports.append, "read", note="first") as work:
         work.set_total(5)
-        work.advance()
+        work.advance(3)
         work.note("last")
     assert reports == [
         Progress("read", note="first"),
         Progress("read", 0, 5, "first"),
-        Progress("read", 1, 5, "first"),
-        Progress("read", 1, 5, "last"),
-        Progress("read", 1, 5, "last", finished=True),
+        Progress("read", 3, 5, "first"),
+        Progress("read", 3, 5, "last"),
+        Progress("read", 3, 5, "last", finished=True),
     ]
 
 
