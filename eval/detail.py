@@ -81,8 +81,7 @@ def bands_at(fps: Fraction) -> tuple[Band, ...]:
 class MotionFigures:
     """What averages over motions need, a row for each motion of a set.
 
-    `timing` are Σ power · prediction and Σ prediction² over frames, `log_power` sums over frames of the mean over joint
-    groups.
+    `timing` are Σ power · prediction and Σ prediction² over frames, `log_power` sums over frames of means over groups.
     """
 
     num_frames: Float64[np.ndarray, "motions"]

@@ -206,8 +206,7 @@ class StgcnNetwork(nn.Module):
 def uestc_inputs(samples: SampleSet, rows: Rows) -> Float32[np.ndarray, "clips frames 24 6"]:
     """First two rows of every joint's matrix, the root's in the camera's frame; missing hands are straight.
 
-    Raises `MotionkitError` without the local rotations of SMPL's 24 or 22 joints. Source: ACTOR's rotation conversions
-    (pytorch3d's).
+    Raises `MotionkitError` without the local rotations of SMPL's 24 or 22 joints. Source: ACTOR, rotation conversions.
     """
     rotations = samples.local_rotations
     if rotations is None or rotations.shape[1] not in (SMPL.num_joints, SMPL22.num_joints):

@@ -93,8 +93,7 @@ def measure_interpolation(
 ) -> Scores:
     """An encoder's figures by metric and scale; pose vectors are scaled by `scale`.
 
-    Predicted poses without rotations get them by inverse kinematics. Raises `MotionkitError` or `ValueError` if the
-    encoder fails.
+    Predicted poses without rotations get them by inverse kinematics. Raises what the encoder raises.
     """
     scores: Scores = {}
     for batch, whole_positions, whole_vectors in clips.read(CLIPS_AT_ONCE):

@@ -2,8 +2,7 @@
 
 A take's count in one resampling is Poisson(1), from a generator seeded by the take's name. A take thus has the same
 count in every set that holds it, and differences between rows are paired. Motions of one take are not independent,
-takes are (Field & Welsh 2007); Poisson counts replace multinomial ones (Chamandy et al. 2012, "Estimating uncertainty
-for massive data streams").
+takes are (Field & Welsh 2007); Poisson counts replace multinomial ones (Chamandy et al. 2012).
 """
 
 import hashlib
@@ -89,8 +88,7 @@ def with_takes(value: float, resampled: Resampled) -> Number:
 class Scores:
     """Metrics of a set of motions by their names in `eval.metrics.metric`, collected over a protocol's replications.
 
-    `sizes` are the numbers of samples; `remarks` state where the data has less than the protocol requires, and what
-    was left out because of it.
+    `sizes` are the numbers of samples; `remarks` state where the data has less than the protocol requires.
     """
 
     replications: dict[str, list[float]] = field(default_factory=dict)

@@ -138,8 +138,7 @@ def l2q(predicted: Quaternions, target: Quaternions, *, align_signs: bool = True
     q and −q are the same rotation: without aligned signs the value depends on how the quaternions were computed. The
     benchmark's own code does not align them (`align_signs=False`): signs should then be continuous in each clip and
     start alike on both sides, and a body that turns by more than half a turn is farther from its first pose. Raises
-    `ValueError` for quaternions that are not of unit length. Source: Harvey et al. 2020; signs as in delta-interpolator
-    (Oreshkin et al. 2022).
+    `ValueError` for quaternions that are not of unit length. Source: Harvey et al. 2020; signs: Oreshkin et al. 2022.
     """
     squared = np.square(checked_rotations(predicted, target)).sum(axis=-1)
     if align_signs:
@@ -234,8 +233,7 @@ def skating_speed(feet: Float[np.ndarray, "frames 4 3"], fps: float, *, floor: f
     """Mean of v·(2 − 2^clamp(h/H, 0, 1)) over frames, ankles and toes, m/s: lower feet have more weight.
 
     The joints are left ankle and toe, then the right ones; H is 8 cm for ankles and 4 cm for toes; v is horizontal
-    speed from a frame to the next, h the height at the first of the two. Source: Zhang et al. 2018 (MANN), as in NeMF
-    (He et al. 2022).
+    speed from a frame to the next, h the height at the first of the two. Source: Zhang et al. 2018, as in NeMF.
     """
     values = checked_features(feet.reshape(len(feet), -1), "feet", minimum=2).reshape(-1, len(FOOT_HEIGHTS), 3)
     steps = np.diff(values[..., ::2], axis=0)

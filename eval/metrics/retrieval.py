@@ -25,8 +25,7 @@ def retrieval(
     Recall at k is the share of queries with a relevant candidate among the k nearest. `right` says which candidates are
     relevant to a query; by default candidate i to query i alone. Candidates at one distance share their ranks: a hit
     counts by its expectation over their random order, so an evaluator that maps everything to one point scores chance.
-    Raises `ValueError` for distances that are not finite, and for a query without a relevant candidate. Source: TMR
-    (Petrovich et al. 2023).
+    Raises `ValueError` for distances that are not finite, and for a query without a relevant candidate. Source: TMR.
     """
     if not np.isfinite(distances).all() or not distances.size:
         raise ValueError("retrieval needs finite distances, of one query at least")

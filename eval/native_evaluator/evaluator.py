@@ -193,8 +193,7 @@ class NativeEvaluator:
 def load_evaluator(run: Path, stage: str = "evaluator") -> NativeEvaluator:
     """Load the evaluator that `motionkit train --stage evaluator`, or `tmr`, has trained in a run folder.
 
-    Raises `RunError` if its training is not finished or had no captions, and `CheckpointError` if the file is of
-    another version.
+    Raises `RunError` if its training is not finished or had no captions, and `CheckpointError` for another version.
     """
     folder, version = RunFolder(run).stage(stage), VERSIONS[stage]
     if not folder.read_summary()["sentences"]:

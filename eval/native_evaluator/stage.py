@@ -13,8 +13,7 @@ from motionkit.training.run import Stage
 class NetworkConfig:
     """Widths of the convolutions, each direction of the GRU, the space shared with text, and the text's hidden layer.
 
-    `dropout` is that of hidden layers in training. With `unit_length` embeddings have length 1, so that their distances
-    rank as cosines do (TMR).
+    `dropout` is that of hidden layers in training. With `unit_length` embeddings have length 1 (TMR).
     """
 
     convolution: int = 128

@@ -36,8 +36,7 @@ KAISER_BETA = 7.857
 def upsample_linear(motion: Positions, fps: float, kept_fps: float, rng: np.random.Generator) -> Positions:
     """Keep only the poses at `kept_fps` frames a second and interpolate joint positions linearly between them.
 
-    The phase of the kept poses is random; the first and last pose are kept too. Poses between two frames are read from
-    a Catmull-Rom spline.
+    The kept poses' phase is random; the first and last are kept too. Between frames poses are of a Catmull-Rom spline.
     """
     before, after, fraction = _kept_poses(motion, fps, kept_fps, rng)
     u = fraction[:, None, None]
@@ -167,8 +166,7 @@ FAMILIES = (
 def shift_by_half_a_frame(motion: Positions) -> Positions:
     """The motion half a frame later, by windowed-sinc interpolation: gain 1 up to 0.96 of the Nyquist frequency.
 
-    The kernel (Kaiser, 80 dB) reaches 64 frames; without a window, a single frame's glitch would ring through the
-    whole motion.
+    The kernel (Kaiser, 80 dB) reaches 64 frames; without a window, a glitch would ring throughout.
     """
     reach = min(SHIFT_REACH_FRAMES, max(1, len(motion) - 1))
     taps = np.arange(-reach, reach + 1)
@@ -311,8 +309,7 @@ def with_bones_of(
 def _borrowed(plain: SampleSet, real: SampleSet, seed: int) -> SampleSet:
     """Add the part above 10 Hz of other, random motions, repeated if shorter.
 
-    Every motion is included `NUM_LENDERS` times with different lenders, since the fast part of one may fit another by
-    chance.
+    Every motion is included `NUM_LENDERS` times with different lenders, since one may fit another by chance.
     """
     rng, motions = np.random.default_rng((seed, 9)), list(real.sequences)
     fast = [motion - low_pass(motion, float(real.fps), TEXTURE_HZ) for motion in motions]
