@@ -9,8 +9,6 @@ from eval.metrics.metric import Metric, by_frames
 from motionkit.core.shapes import Float, Float64, Int
 
 NUM_PAIRS = 10
-CLASS_PAIRS = 20
-"""Pairs of every class in the action protocols."""
 PAIRS = 300
 """D_a of the NeRM paper; the action protocols draw 200."""
 Features = Float[np.ndarray, "samples features"]
@@ -86,7 +84,7 @@ def _checked_texts(features: Repeated, least: int) -> Float64[np.ndarray, "texts
 
 
 def multimodality_by_class(
-    features: Features, labels: Labels, *, rng: np.random.Generator, num_pairs: int = CLASS_PAIRS, replace: bool = False
+    features: Features, labels: Labels, *, rng: np.random.Generator, num_pairs: int = 20, replace: bool = False
 ) -> float:
     """Mean distance of random pairs of two different motions of one class, with equally many pairs per class.
 

@@ -125,7 +125,6 @@ def interpolation_table(scales: Sequence[Fraction], table: str, config: EvalConf
 
     Raises `NoTakesError` if no data set has takes, and `UsageError` for an unknown encoder.
     """
-    store.select(config.condition)  # raises at once for SQL that is wrong
     trained = trained_completers("interpolation", config.run, config.encoders, config.missing)
     completers = [*INTERPOLATION, *trained]
     scopes, content = _interpolated(store, data_sets_of(store, config.fps), scales, completers, config)
@@ -141,7 +140,6 @@ def ablation_table(ablation: Ablation, config: EvalConfig, store: Store) -> Cont
 
     Raises `UsageError` without a run's name, or if none of the runs is trained, and as `interpolation_table`.
     """
-    store.select(config.condition)  # raises at once for SQL that is wrong
     runs = PAHIRES.trained_runs(ablation.table, config.run, STAGE)
     assert config.run is not None
     command = PAHIRES.command(ablation.table, config.run)
@@ -268,7 +266,6 @@ def window_table(table: WindowTable, config: EvalConfig, store: Store) -> Conten
 
     Raises `NoTakesError` if the store has no windows, and `UsageError` for an unknown encoder.
     """
-    store.select(config.condition)  # raises at once for SQL that is wrong
     trained = trained_completers(table.task, config.run, config.encoders, config.missing)
     completers = [*table.rows, *trained]
 

@@ -86,10 +86,7 @@ def measured(
 
 
 def compute(config: EvalConfig, store: Store) -> Content:
-    """The metrics of every row that can be computed.
-
-    Raises `NoRealMotionError` if no framerate has real motion.
-    """
+    """The metrics of every row that can be computed. Raises `NoRealMotionError` if no framerate has real motion."""
     real = real_motion(store, config.split, config.where)
     train = training_motion(store, real)
     columns: list[Column] = []

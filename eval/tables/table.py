@@ -139,6 +139,7 @@ class Table:
         """The result; what it lacks is in `config.missing` too. Raises what `compute` and opening the store raise."""
         config.missing.clear()
         store = Store.open(config.store, on_progress=config.on_progress)
+        store.select(config.condition)  # raises at once for SQL that is wrong
         content = self.compute(config, store)
         run = config.run if config.run is not None and config.run.is_dir() else None
         runs = [run, *content.runs, *(run for _, run in config.encoders)]
