@@ -33,4 +33,4 @@ TABLES = {
     "pahires-figure6": "eval.tables.pahires:FIGURE_6",
 }
 # What `motionkit train --for KIND:NAME` trains, by KIND.
-PLANS = dict.fromkeys(("table", "figure"), "eval.tables.train_for:plan")
+PLANS = dict.fromkeys(("table", "figure"), "eval.tables.table:plan")

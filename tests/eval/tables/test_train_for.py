@@ -10,9 +10,8 @@ import torch
 import typer
 from typer.testing import CliRunner
 
-from eval.tables import train_for
-from eval.tables.table import Content, EvalConfig, Table
-from eval.tables.train_for import table_that_shows
+from eval.tables import table as table_module
+from eval.tables.table import Content, EvalConfig, Table, table_that_shows
 from motionkit.cli import train as train_module
 from motionkit.cli.console import parse_duration
 from motionkit.core.errors import UsageError
@@ -122,7 +121,7 @@ ORDER = ["codes", "field", "denoiser", "vae", "latents", "gan", "judge"]
 def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
     world = World()
     install_only(monkeypatch, STAGES=world.stages())
-    monkeypatch.setattr(train_for, "table_that_shows", lambda paper, target: TABLE)
+    monkeypatch.setattr(table_module, "table_that_shows", lambda paper, target: TABLE)
     monkeypatch.setattr(loop_module, "seconds_spent", world.clock_since)
     with StoreWriter.create(tmp_path / "store"):
         pass
