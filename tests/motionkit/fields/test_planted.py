@@ -73,7 +73,7 @@ def test_feet_that_slide_stand(rotations: bool) -> None:
     assert np.abs(off - off[0])[:, ::2].max() < 0.25
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Knowing(DerivedField):
     """A field that says when its feet are on the ground."""
 
@@ -95,7 +95,7 @@ def test_contacts_that_the_field_knows_are_taken() -> None:
     same = (fast, fast.query, lambda fps: fast)
     speeds = [
         steadiest_speed(to_motion(planted(field, "free"), FPS).joint_positions, still, FPS).mean()
-        for field in (fast, Knowing(*same, FPS, down), Knowing(*same, FPS, np.zeros_like(down)))
+        for field in (fast, Knowing(*same, fps=FPS, down=down), Knowing(*same, fps=FPS, down=np.zeros_like(down)))
     ]
     assert speeds[0] > 1.0
     assert speeds[1] < 0.1
