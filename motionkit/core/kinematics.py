@@ -82,7 +82,8 @@ def matrix_to_quaternion(matrix: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarra
 
 def _dot(a: Float[np.ndarray, "*n d"], b: Float[np.ndarray, "*n d"]) -> Float[np.ndarray, "*n 1"]:
     # Four times as fast as a sum over an axis of three or four numbers.
-    return np.einsum("...i,...i->...", a, b)[..., None]
+    product: Float[np.ndarray, "*n 1"] = np.einsum("...i,...i->...", a, b)[..., None]
+    return product
 
 
 def quaternion_between(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*m 3"]) -> Float[np.ndarray, "*k 4"]:
