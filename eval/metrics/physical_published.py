@@ -12,7 +12,7 @@ from eval.metrics.metric import Metric
 from eval.metrics.motion import checked_fps
 from motionkit.core.shapes import Bool, Float, Float64
 from motionkit.core.skeleton import SMPL22
-from motionkit.fields.contact.detection import runs
+from motionkit.core.timegrid import runs
 
 Positions = Float[np.ndarray, "frames 22 3"]
 

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from motionkit.core.errors import shown
-from motionkit.core.shapes import Float64
+from motionkit.core.shapes import Bool, Float64, Int64
 
 # Tolerance for equal instants.
 SAME_SECONDS = 1e-6
@@ -108,3 +108,9 @@ def normalise_seconds(
 ) -> Float64[np.ndarray, "*shape"]:
     """Seconds since the start of a window of l_max seconds → coordinates in [−1, 1] (NeRM §3.1)."""
     return -1.0 + 2.0 * seconds / max_duration_seconds
+
+
+def runs(mask: Bool[np.ndarray, "instants"]) -> tuple[Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"]]:
+    """Start and stop index of every run of True in a mask."""
+    changes = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return changes[::2], changes[1::2]

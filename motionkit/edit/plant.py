@@ -9,8 +9,8 @@ import numpy as np
 from motionkit.core.errors import counted
 from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
+from motionkit.core.timegrid import runs
 from motionkit.edit.motions import EditedMotion, LoadedMotion, load_motion, write_as_loaded
-from motionkit.fields.contact.detection import runs
 from motionkit.fields.contact.planted import Path as BodyPath
 from motionkit.fields.contact.planted import Planting, planted_frames
 from motionkit.io.bvh import KnownFrames

@@ -14,8 +14,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, Skeleton
 from motionkit.core.skeletons.mapping import SkeletonMapError, body_axis, joint_map
-from motionkit.core.timegrid import COMMON_FPS
-from motionkit.fields.contact.detection import runs
+from motionkit.core.timegrid import COMMON_FPS, runs
 
 # Above these a sequence is flagged, not refused: real captures hold glitches and floors that are off, and the reader
 # decides. docs/quality.md says where each figure comes from, docs/results/quality.md what it hits in real captures.

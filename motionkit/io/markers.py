@@ -29,8 +29,7 @@ from motionkit.core.motion import Motion
 from motionkit.core.shapes import Bool, Float64
 from motionkit.core.skeleton import Skeleton
 from motionkit.core.skeletons.mapping import with_layout_map
-from motionkit.core.timegrid import parse_fps
-from motionkit.fields.contact.detection import runs
+from motionkit.core.timegrid import parse_fps, runs
 from motionkit.io import npy, source_file
 from motionkit.io.body_frame import AXES, log_lines, to_y_up, upright
 from motionkit.io.registry import ReadOptions

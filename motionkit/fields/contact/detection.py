@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from motionkit.core.shapes import Bool, Float, Float64, Int64
+from motionkit.core.shapes import Bool, Float, Float64
+from motionkit.core.timegrid import runs
 
 FootPaths = Float64[np.ndarray, "instants feet ends 3"]
 PerFoot = Float64[np.ndarray, "instants feet"]
@@ -125,12 +126,6 @@ def find_contacts(
     faster = np.hypot(steadiest[..., 0], steadiest[..., 2]) / (limits.rest_speed + limits.rest_times * rests.speed)
     hold, lead = (rests.on_ground / (1.0 + (faster / times) ** 4) for times in (1.0, limits.lead_times))
     return Contacts(down, np.maximum(here, around[:, None]), steadiest, hold, lead, beside)
-
-
-def runs(mask: Bool[np.ndarray, "instants"]) -> tuple[Int64[np.ndarray, "runs"], Int64[np.ndarray, "runs"]]:
-    """Start and stop index of every run of True in a mask."""
-    changes = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
-    return changes[::2], changes[1::2]
 
 
 def velocities(paths: FootPaths, fps: float) -> FootPaths:

@@ -17,7 +17,7 @@ import numpy as np
 from motionkit.core.kinematics import quaternion_rotate
 from motionkit.core.shapes import Bool, Float64
 from motionkit.core.skeleton import Skeleton
-from motionkit.core.timegrid import TimeGrid
+from motionkit.core.timegrid import TimeGrid, runs
 from motionkit.fields.contact.bones import Bones, Leg, Legs, bend, legs_of, turns
 from motionkit.fields.contact.detection import (
     CAPTURED,
@@ -30,7 +30,6 @@ from motionkit.fields.contact.detection import (
     PerFoot,
     find_contacts,
     ground_of,
-    runs,
     smoothstep,
 )
 from motionkit.fields.interpolation import INTERPOLATORS, Curve, curve
