@@ -100,6 +100,8 @@ def train(system: str, run: Path, store: Path, budget: float, settings: Iterable
                 process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
                 _, status, usage = os.wait4(process.pid, 0)
             if status:
+                for each, _ in stages:
+                    shutil.rmtree(run / each, ignore_errors=True)
                 raise RunError(f"{' '.join(command)} failed: {log.name}")
             spent_path.write_text(json.dumps({"cpu_seconds": usage.ru_utime + usage.ru_stime}))
         left -= json.loads(spent_path.read_text())["cpu_seconds"]
@@ -157,7 +159,7 @@ def trials(system: str, runs: Path, store: Path) -> list[dict[str, Any]]:
 
     is_higher = training(*rates(system, 1.0)) > training(*rates(system, 3.0))
     training(*rates(system, 9.0 if is_higher else 1 / 3))
-    number = found.index(best := best_of(found))
+    number = found.index(best := ranked(found)[0])
     for each in GUIDED.get(system, ()):
         value = score(system, runs / f"trial-{number}", store, (each,))
         found += [{"settings": (*best["settings"], each), "clip_fid": value}]
@@ -168,9 +170,9 @@ def trials(system: str, runs: Path, store: Path) -> list[dict[str, Any]]:
     return found
 
 
-def best_of(found: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The trial with the lowest clip-FID."""
-    return min(found, key=lambda trial: math.inf if trial["clip_fid"] is None else float(trial["clip_fid"]))
+def ranked(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The trials that did not diverge, by clip-FID."""
+    return sorted((each for each in found if each["clip_fid"] is not None), key=lambda each: float(each["clip_fid"]))
 
 
 def split_contacts(run: Path) -> Path:
@@ -220,15 +222,19 @@ def main() -> None:
         evaluate_runs(given.runs, given.store, given.results, given.evaluator)
     else:
         seeds = [int(seed) for seed in given.seeds.split(",")]
-        settings = {name: best_of(of)["settings"] for name, of in json.loads(TRIALS.read_text())["trials"].items()}
+        tried = {name: ranked(found) for name, found in json.loads(TRIALS.read_text())["trials"].items()}
 
         def train_one(job: tuple[int, str]) -> None:
             seed, system = job
             run = given.runs / f"{given.budget:g}s-{seed}"
-            train(system, run, given.store, given.budget, settings[system], seed)
+            for trial in tried[system]:
+                with suppress(RunError):
+                    train(system, run, given.store, given.budget, trial["settings"], seed)
+                    break
+                # It diverges in a longer training: the next best.
 
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            list(pool.map(train_one, [(seed, system) for seed in seeds for system in systems]))
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
+            list(threads.map(train_one, [(seed, system) for seed in seeds for system in systems]))
 
 
 if __name__ == "__main__":
