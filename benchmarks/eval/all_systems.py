@@ -30,6 +30,7 @@ from typing import Any
 
 from benchmarks.command import arguments_parser
 from eval.clip_fid.score import Protocol
+from eval.report.results import provenance
 from eval.sets.motions import generate_fields, planted_fields
 from eval.sets.sets import RowId, Variant
 from eval.tables.systems import Yardstick
@@ -217,7 +218,8 @@ def main() -> None:
             count = len(systems)
             found = pool.map(trials, systems, [given.runs] * count, [given.store] * count)
             of_system = dict(zip(systems, found, strict=True))
-        write_json(TRIALS, {"seconds": TRIAL_SECONDS, "seed": TRIAL_SEED, "trials": of_system})
+        origin = provenance(given.store, sorted(given.runs.glob("trial-?")))
+        write_json(TRIALS, {"seconds": TRIAL_SECONDS, "seed": TRIAL_SEED, "trials": of_system, "provenance": origin})
     elif given.command == "evaluate":
         evaluate_runs(given.runs, given.store, given.results, given.evaluator)
     else:
