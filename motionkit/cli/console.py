@@ -99,7 +99,7 @@ def read_options(
     up: Axis | None = None,
     **others: Any,
 ) -> "ReadOptions":
-    """The options of readers, of which `others` are as they are; raises `UsageError` for no positive length."""
+    """The options of readers; `others` are fields of `ReadOptions`. Raises `UsageError` for an invalid unit."""
     from motionkit.core.skeletons.mapping import read_skeleton_map
     from motionkit.io.registry import ReadOptions
 

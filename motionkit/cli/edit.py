@@ -147,16 +147,16 @@ def convert(
     sources, problems = find_motions([source], options, store or default_path("store"))
     character = None if onto is None else read_character(onto, console.read_options(None, skeleton_map))
     paths = OutputPaths(
-        *("converted", [source], len(sources)),
+        "converted",
+        [source],
+        len(sources),
         out=out,
         file_format=file_format,
         overwrite=overwrite,
         usual_suffix=None if character is None else character.suffix,
     )
-    edit, about = (
-        partial(converted_motion, fps=rate, character=character),
-        {"onto": None if onto is None else str(onto)},
-    )
+    edit = partial(converted_motion, fps=rate, character=character)
+    about = {"onto": None if onto is None else str(onto)}
     _edit_each("convert", sources, problems, edit, paths, as_json, about, rate)
 
 

@@ -98,7 +98,10 @@ def ingest(
         raise UsageError("--skip-frames and --captions are about whole files, --index is about segments of files")
     of_index = IndexOptions(tuple(index or ()), texts, splits, mirrored, published=compat is not None)
     options = console.read_options(
-        *(console.parse_rate(fps), skeleton_map, unit_metres, up),
+        console.parse_rate(fps),
+        skeleton_map,
+        unit_metres,
+        up,
         format=format,
         captions=captions,
         index=of_index if index else None,

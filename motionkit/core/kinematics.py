@@ -52,7 +52,9 @@ def rotate_about_y(vectors: Float[np.ndarray, "*n 3"], angle: Float[np.ndarray, 
     cosine, sine = (part(angle, dtype=np.float64).astype(vectors.dtype) for part in (np.cos, np.sin))
     x, y, z = np.moveaxis(vectors, -1, 0)
     rotated = np.empty((*np.broadcast_shapes(x.shape, cosine.shape), 3), vectors.dtype)
-    rotated[..., 0], rotated[..., 1], rotated[..., 2] = cosine * x + sine * z, y, cosine * z - sine * x
+    rotated[..., 0] = cosine * x + sine * z
+    rotated[..., 1] = y
+    rotated[..., 2] = cosine * z - sine * x
     return rotated
 
 

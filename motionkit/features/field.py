@@ -38,14 +38,16 @@ def window_frame(
 
 def to_window(joint_positions: Positions, yaw: Yaw, origin: Origin) -> Float32[np.ndarray, "windows poses joints 3"]:
     """World positions → positions in each window's frame, metres."""
-    # Each training step does this to its poses: in half the time of rotated copies of them. Sines of float32 angles
-    # differ in their last digit between processors.
+    # Every training step calls this: `rotate_about_y`, which copies the poses first, takes twice the time. Sines of
+    # float32 angles differ in their last digit between processors.
     angle, dtype = yaw.astype(np.float64)[:, None, None], joint_positions.dtype
     sine, cosine = np.sin(angle).astype(dtype), np.cos(angle).astype(dtype)
     x = joint_positions[..., 0] - origin[:, None, None, 0]
     z = joint_positions[..., 2] - origin[:, None, None, 1]
     local = np.empty(joint_positions.shape, dtype=np.float32)
-    local[..., 0], local[..., 1], local[..., 2] = cosine * x - sine * z, joint_positions[..., 1], sine * x + cosine * z
+    local[..., 0] = cosine * x - sine * z
+    local[..., 1] = joint_positions[..., 1]
+    local[..., 2] = sine * x + cosine * z
     return local
 
 
