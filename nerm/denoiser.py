@@ -13,7 +13,6 @@ from torch import Tensor
 
 from motionkit.core.errors import UsageError
 from motionkit.core.files import sha256_of
-from motionkit.core.progress import OnProgress, ignore
 from motionkit.core.shapes import Float32
 from motionkit.data.captions import actions_of_windows, captions_of_windows
 from motionkit.data.windows import open_frames
@@ -64,27 +63,22 @@ class LatentCorpus:
 
 
 def corpus_of(
-    field: TrainedField,
-    store: Store,
-    encoder: TextEncoder | None,
-    config: DenoiserConfig,
-    seed: int,
-    on_progress: OnProgress = ignore,
+    field: TrainedField, store: Store, encoder: TextEncoder | None, config: DenoiserConfig, seed: int
 ) -> LatentCorpus:
     """A field's posteriors with their windows' captions (embedded, and cached in the store's cache folder) and actions.
 
-    `config.variations` of each window are encoded (`nerm.encoding.vary`) and get its posterior's variance. If
-    `config.balanced`, windows are weighted so that each caption (or action) is drawn equally often. Up to `paraphrases`
-    rewordings of each caption are drawn from `seed`; they stand for it in half of its uses.
+    With local latents `config.variations` of each window are encoded (`nerm.encoding.vary`) and get its posterior's
+    variance. If `config.balanced`, windows are weighted so that each caption (or action) is drawn equally often. Up to
+    `paraphrases` rewordings of each caption are drawn from `seed`; they stand for it in half of its uses.
     """
     windows, captioned, means = [field.windows], [field.windows], [field.posterior_mean]
     log_variances, farthest = [field.posterior_log_variance], FARTHEST * field.posterior_mean.abs().amax(dim=0)
     rng = np.random.default_rng(seed)
-    if config.variations:
+    if field.linear_model is not None and config.variations:
         source, frames = open_frames(field.vectors, store, field.config.where)
         for _ in range(config.variations):
             varied, at_own_tempo = vary(field.windows, source, rng)
-            latents = encode_varied(field, varied, frames, on_progress)
+            latents = encode_varied(field.linear_model, varied, frames)
             # A field that learnt from few motions cannot hold their mirror images.
             held = (latents.abs() <= farthest).all(dim=1)
             windows.append(varied.select(held.numpy()))
@@ -198,7 +192,7 @@ def train_denoiser(context: StageContext, config: NermConfig) -> None:
         )
     started = time.perf_counter()
     encoder = _encoder(settings)
-    corpus = corpus_of(field, store, encoder, settings, context.seed, context.on_progress)
+    corpus = corpus_of(field, store, encoder, settings, context.seed)
     folder = context.begin("denoiser", config, store_fingerprint=store.fingerprint, builds_on=("field",))
     training = DenoiserTraining(settings, corpus, seed=context.seed, device=device, ranks=ranks)
     figures = run_training(context, training, folder)

@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 
 from motionkit.core.motion import mirror_positions
-from motionkit.core.progress import OnProgress, tracked
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import normalise_seconds
@@ -36,6 +35,7 @@ from motionkit.fields.motion_field import MotionField, Observation
 from motionkit.store.cache import PositionCache
 from motionkit.store.reader import Store
 from motionkit.training.run import RunFolder
+from nerm.latents import LinearModel
 from nerm.model import TrainedField, load_field
 from nerm.network import EncodedCoordinates
 from nerm.recipes import row_name
@@ -47,24 +47,23 @@ PROBES = 8
 SMALLEST_EFFECT = 0.05
 
 
-def encode_by_optimisation(
-    trained: TrainedField,
-    batch: PoseBatch,
-    evaluations: int = EVALUATIONS,
-    unit: Float32[Tensor, "latent"] | None = None,
-) -> Float32[Tensor, "batch latent"]:
+def encode_by_optimisation(trained: TrainedField, batch: PoseBatch) -> Float32[Tensor, "batch latent"]:
     """The z of each clip of a batch: argmin ‖f_θ(t, z, s) − x‖² + λ_KL·½‖z‖²/d, independent of the other clips.
 
     A clip's poses must be in order of time. ½‖z‖²/d is the KL term for a fixed posterior variance; a field without
-    distributions has none (Eq. 9). `unit` scales the numbers' steps (default: by their effect in each clip). The result
-    is on the CPU.
+    distributions has none (Eq. 9). The result is on the CPU.
     """
     config, device = trained.config, trained.device
     kl_weight = config.loss.kl_weight if config.latents.variational else 0.0
-    start, encoded, fps = _starts(trained, batch)
-    target = trained.scaling.apply(torch.from_numpy(batch.vectors).to(device))
-    if unit is None:
-        unit = 1.0 / effect_of_numbers(trained, start, encoded, fps)
+    vectors, coordinates = torch.from_numpy(batch.vectors), torch.from_numpy(batch.coordinates)
+    start = torch.zeros(len(vectors), trained.posterior_mean.shape[1])
+    if trained.linear_model is not None:
+        start = trained.linear_model.fit(coordinates, vectors)
+    start, target = start.to(device), trained.scaling.apply(vectors.to(device))
+    fps = torch.from_numpy(batch.fps).to(device)
+    with torch.no_grad():
+        encoded = trained.network.encode_coordinates(coordinates.to(device), fps)
+    unit = 1.0 / effect_of_numbers(trained, start, encoded, fps)
 
     @torch.enable_grad()
     def objective(moved: Tensor) -> tuple[Tensor, Tensor]:
@@ -75,19 +74,7 @@ def encode_by_optimisation(
         (gradients,) = torch.autograd.grad(losses.sum(), moved)
         return losses.detach(), gradients
 
-    return (start + unit * minimise_each(objective, torch.zeros_like(start), evaluations)).cpu()
-
-
-@torch.no_grad()
-def _starts(
-    trained: TrainedField, batch: PoseBatch
-) -> tuple[Float32[Tensor, "batch latent"], EncodedCoordinates, Float64[Tensor, "batch"]]:
-    """The latents that optimisation starts from, the encoded coordinates and the framerates, on the field's device."""
-    coordinates, fps = torch.from_numpy(batch.coordinates), torch.from_numpy(batch.fps).to(trained.device)
-    start = torch.zeros(len(fps), trained.posterior_mean.shape[1])
-    if trained.linear_model is not None:
-        start = trained.linear_model.fit(coordinates, torch.from_numpy(batch.vectors))
-    return start.to(trained.device), trained.network.encode_coordinates(coordinates.to(trained.device), fps), fps
+    return (start + unit * minimise_each(objective, torch.zeros_like(start), EVALUATIONS)).cpu()
 
 
 @torch.no_grad()
@@ -174,9 +161,7 @@ def effect_of_numbers(
 
 
 POSES_TO_ENCODE_FROM = 100
-WINDOWS_AT_ONCE = 64
-# Latents to learn from are good after a few evaluations.
-POSES_OF_VARIED, EVALUATIONS_OF_VARIED = 64, 6
+WINDOWS_AT_ONCE, POSES_OF_VARIED = 64, 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,20 +291,13 @@ def vary(windows: Windows, source: PositionCache, rng: np.random.Generator) -> t
     return replace(at_own_tempo, fps_numerator=numerator, fps_denominator=denominator), at_own_tempo
 
 
-def encode_varied(
-    trained: TrainedField, windows: Windows, frames: FrameValues, on_progress: OnProgress
-) -> Float32[Tensor, "windows latent"]:
-    """The latents of many windows by a few evaluations from the linear model's fit, with one unit for all."""
-    poses, every = WindowPoses(windows, frames), max(1, len(windows) // WINDOWS_AT_ONCE)
-    some = poses.evenly(np.arange(0, len(windows), every)[:WINDOWS_AT_ONCE], POSES_OF_VARIED)
-    unit = 1.0 / effect_of_numbers(trained, *_starts(trained, some)).mean(dim=0)
-    batches = list(chunks(len(windows), WINDOWS_AT_ONCE))
-    return torch.cat(
-        [
-            encode_by_optimisation(trained, poses.evenly(rows, POSES_OF_VARIED), EVALUATIONS_OF_VARIED, unit)
-            for rows in tracked(on_progress, "varied windows", batches, len(batches))
-        ]
-    )
+def encode_varied(linear: LinearModel, windows: Windows, frames: FrameValues) -> Float32[Tensor, "windows latent"]:
+    """The latents of many windows by the linear model's fit: optimisation moves them by a tenth of their deviation."""
+    poses, latents = WindowPoses(windows, frames), []
+    for rows in chunks(len(windows), WINDOWS_AT_ONCE):
+        batch = poses.evenly(rows, POSES_OF_VARIED)
+        latents.append(linear.fit(torch.from_numpy(batch.coordinates), torch.from_numpy(batch.vectors)))
+    return torch.cat(latents)
 
 
 def load(run: Path) -> NermEncoder:

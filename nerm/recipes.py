@@ -239,9 +239,9 @@ class ConditionsConfig:
 class DenoiserConfig:
     """The stage `denoiser` (paper §3.2, D).
 
-    `variations` of each training window are encoded and learnt from beside it (ours): begun earlier or later, mirrored
-    or not, faster or slower. With `balanced` each caption (or action) is drawn equally often (ours). `ema_decay` is the
-    decay of the weights' moving average (0: none).
+    With local latents `variations` of each training window are encoded and learnt from beside it (ours): begun earlier
+    or later, mirrored or not, faster or slower. With `balanced` each caption (or action) is drawn equally often (ours).
+    `ema_decay` is the decay of the weights' moving average (0: none).
     """
 
     network: TransformerConfig = TransformerConfig()

@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from motionkit.core.motion import Motion
-from motionkit.core.progress import ignore
 from motionkit.core.skeleton import KIT21, SMPL22
 from motionkit.core.timegrid import TimeGrid
 from motionkit.data.windows import FrameValues, WindowPoses, cut_windows
@@ -100,7 +99,8 @@ def test_varied_windows_are_the_corpus_mirrored_moved_and_at_another_tempo(small
     frames = FrameValues(source.positions, FIELD_VECTORS)
     batch = WindowPoses(varied, frames).evenly(np.arange(len(varied)), 33)
     assert np.abs(batch.vectors[:, 0, [0, 2]]).max() < 1e-5
-    latents = encode_varied(small_field, varied, frames, ignore)
+    assert small_field.linear_model is not None
+    latents = encode_varied(small_field.linear_model, varied, frames)
     with torch.no_grad():
         fps = torch.from_numpy(batch.fps)
         encoded = small_field.network.encode_coordinates(torch.from_numpy(batch.coordinates), fps)
