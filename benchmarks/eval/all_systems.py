@@ -192,13 +192,16 @@ def split_contacts(run: Path) -> Path:
 
 
 def evaluate_runs(runs: Path, store: Path, results: Path, evaluator: Path) -> None:
-    """Tables 1 and 2 of every run on the test part, and Table 2 of NeRM planted by its own contacts."""
+    """Table 2 of every run on the test part, of NeRM planted by its own contacts, and Table 1 of the first seed."""
+    of_clips = ("--fps", "20,60,120", "--evaluator", "kinematic")
     for run in sorted(runs.glob("*s-[0-9]")):
         own = split_contacts(run)
-        shutil.copytree(evaluator / "evaluator", run / "evaluator", dirs_exist_ok=True)
-        for each, table in ((run, "2"), (run, "1"), (own, "2")):
+        tables = [(run, "2", of_clips), (own, "2", of_clips)]
+        if run.name.endswith("s-0"):
+            shutil.copytree(evaluator / "evaluator", run / "evaluator", dirs_exist_ok=True)
+            tables.append((run, "1", ()))
+        for each, table, options in tables:
             if each.is_dir() and not (results / each.name / f"nerm-table{table}.json").is_file():
-                options = ("--fps", "20,60,120", "--evaluator", "kinematic") if table == "2" else ()
                 evaluate(table, each, store, results, *options)
 
 
