@@ -193,7 +193,7 @@ def split_contacts(run: Path) -> Path:
 
 def evaluate_runs(runs: Path, store: Path, results: Path, evaluator: Path) -> None:
     """Table 2 of every run on the test part, of NeRM planted by its own contacts, and Table 1 of the first seed."""
-    of_clips = ("--fps", "20,60,120", "--evaluator", "kinematic")
+    of_clips: tuple[str, ...] = ("--fps", "20,60,120", "--evaluator", "kinematic")
     for run in sorted(runs.glob("*s-[0-9]")):
         own = split_contacts(run)
         tables = [(run, "2", of_clips), (own, "2", of_clips)]

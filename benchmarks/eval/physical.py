@@ -75,7 +75,8 @@ def rise(motion: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def lift(motion: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """The whole motion raised by ten centimetres."""
-    return motion + np.array([0.0, 0.1, 0.0])
+    motion[..., 1] += 0.1
+    return motion
 
 
 def shake(motion: np.ndarray, rng: np.random.Generator) -> np.ndarray:
