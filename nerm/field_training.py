@@ -1,7 +1,7 @@
 """Stage `field`: training f_θ with one N(μ, Σ) per window, without an encoder (paper §3.1, Eq. 1, 3 and 4; B.2).
 
 Only the rows of a batch are gathered and updated, with their Adam moments, so a step's cost does not depend on the
-number of windows. The contact head is trained after the decoder, which stays as it is.
+number of windows.
 """
 
 import dataclasses
@@ -13,13 +13,11 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import binary_cross_entropy_with_logits
 
 from motionkit.core.errors import UsageError
-from motionkit.core.progress import OnProgress, task, warn
+from motionkit.core.progress import warn
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22
-from motionkit.core.timegrid import normalise_seconds
 from motionkit.data.windows import (
     FrameValues,
     WindowPoses,
@@ -46,9 +44,9 @@ from motionkit.training.networks import (
     with_precision_of,
 )
 from motionkit.training.run import RunError, RunFolder, StageContext
-from nerm.latents import first_read, in_use, linear_model, measured_space
+from nerm.latents import linear_model
 from nerm.model import TrainedField, save_field
-from nerm.network import NUM_LOGITS, ContactHead, FieldNetwork
+from nerm.network import FieldNetwork
 from nerm.recipes import FieldConfig, NermConfig
 
 LOG_VARIANCE_RANGE = (-12.0, 4.0)
@@ -264,11 +262,6 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         store_fingerprint=store.fingerprint,
         vectors=vectors,
     )
-    if settings.contact_steps and trained.network.local is not None:
-        contacts, figures["contacts"] = train_contacts(
-            trained, contact_rows(source), seed=context.seed, on_progress=context.on_progress
-        )
-        trained = dataclasses.replace(trained, contacts=contacts)
     save_field(folder, trained)
     facts = {
         "windows": len(windows),
@@ -277,86 +270,6 @@ def train_field(context: StageContext, config: NermConfig) -> None:
         "parameters": sum(parameter.numel() for parameter in training.network.parameters()),
     }
     folder.finish({**figures, **facts})
-
-
-CONTACT_BATCH_SIZE, CONTACT_LEARNING_RATE = 256, 3e-3
-# Standard deviations of the latents' noise, in the denoiser's space.
-CONTACT_NOISE = 0.4
-CONTACT_ROWS, FEWEST_FRAMES = "contacts-1", 4
-
-
-def train_contacts(
-    trained: TrainedField, rows: Float32[np.ndarray, "total_frames 4"], *, seed: int, on_progress: OnProgress
-) -> tuple[ContactHead, float]:
-    """Train a contact head on a frozen field, from noisy posterior means of its windows, with labels of all frames.
-
-    Also returns the mean loss of the last fifth of the steps, in nats per output.
-    """
-    network, windows, config, device = trained.network, trained.windows, trained.config, trained.device
-    means, banks = trained.posterior_mean, network.local
-    duration = torch.from_numpy(windows.duration_seconds / windows.max_duration_seconds).float()
-    space = measured_space(means, in_use(first_read(means.shape[1], banks), duration), banks)
-    with seeded_initialisation(seed, "contacts"):
-        head = ContactHead(network.num_read).to(device)
-    learner = Learner(head, torch.optim.AdamW(head.parameters(), weight_decay=0.0))
-    visits = rows_by_duration(windows, config.clips.seconds_per_visit)
-    steps, losses = config.contact_steps, []
-    with task(on_progress, "contacts", steps) as work:
-        for step in range(steps):
-            generator = step_generator(seed, "contacts", step)
-            chosen = visits[shuffled_batches(len(visits), CONTACT_BATCH_SIZE, step, seed)]
-            uniform = torch.rand(len(chosen), config.clips.num_poses, generator=generator, dtype=torch.float64).numpy()
-            frame = np.floor(uniform * windows.num_frames[chosen][:, None]).astype(np.int64)
-            fps = windows.fps[chosen]
-            times = normalise_seconds(frame / fps[:, None], windows.max_duration_seconds)
-            share = torch.rand(len(chosen), 1, generator=generator)
-            noise = torch.randn(len(chosen), means.shape[1], generator=generator)
-            latents = space.restore(space.standardise(means[chosen]) + CONTACT_NOISE * share * noise)
-            with torch.no_grad():
-                encoded = network.encode_coordinates(
-                    torch.from_numpy(times).to(device), torch.from_numpy(fps).to(device)
-                )
-                read = network.read(latents.to(device), encoded)
-            labels = torch.from_numpy(labels_at(rows, windows, chosen, frame)).to(device)
-            loss = binary_cross_entropy_with_logits(head(read), labels)
-            learner.descend(loss, step, CONTACT_LEARNING_RATE * 0.5 * (1.0 + np.cos(np.pi * step / steps)))
-            losses.append(loss.detach())
-            work.advance()
-    return head.eval().requires_grad_(False), float(torch.stack(losses[-max(1, steps // 5) :]).mean())
-
-
-def labels_at(
-    rows: Float32[np.ndarray, "total_frames 4"],
-    windows: Windows,
-    window: Int64[np.ndarray, "batch"],
-    frame: Int64[np.ndarray, "batch poses"],
-) -> Float32[np.ndarray, "batch poses 4"]:
-    """Contact labels at frames of windows; left and right are swapped in mirrored windows."""
-    labels: Float32[np.ndarray, "batch poses 4"] = rows[windows.start_row[window][:, None] + frame]
-    mirrored = windows.mirrored[window]
-    labels[mirrored] = labels[mirrored][..., [2, 3, 0, 1]]
-    return labels
-
-
-def contact_rows(cache: PositionCache) -> Float32[np.ndarray, "total_frames 4"]:
-    """Contact labels (1 or 0) of the foot joints for every row of the position cache, cached beside it."""
-    from motionkit.fields.contact.bones import legs_of
-    from motionkit.fields.contact.detection import (  # deferred: no field without contacts needs it
-        find_contacts,
-        ground_of,
-    )
-
-    def compute() -> Iterator[Float32[np.ndarray, "frames 4"]]:
-        legs = legs_of(SMPL22)
-        for sequence in range(cache.num_sequences):
-            paths = legs.foot_paths(np.asarray(cache.sequence_positions(sequence))).astype(np.float64)
-            down = np.zeros((len(paths), 2, 2), np.float32)
-            if len(paths) >= FEWEST_FRAMES:
-                fps = float(cache.exact_fps(sequence))
-                down[:] = find_contacts(paths, fps, ground_of(paths, fps)).down
-            yield down.reshape(-1, NUM_LOGITS)
-
-    return cache.derived_rows(CONTACT_ROWS, NUM_LOGITS, compute)
 
 
 def check_field(context: StageContext, config: NermConfig) -> None:

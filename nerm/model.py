@@ -1,9 +1,4 @@
-"""Trained NeRM: the motion field f_θ(t, z, s) → pose (§3.1), the sampler of latents (§3.2), and both as one model.
-
-Contact is an output of the field too (ours): a small network on the decoder's input gives the probabilities that ankle
-and toe of both feet are on the ground, at any t. Feet of generated motions slide from residual noise, so their paths
-say little about contacts; z still does (docs/results/trials.md).
-"""
+"""Trained NeRM: the motion field f_θ(t, z, s) → pose (§3.1), the sampler of latents (§3.2), and both as one model."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -57,7 +52,7 @@ from motionkit.training.run import RunError, RunFolder, StageFolder
 from motionkit.training.text import TextEncoder, load_same_encoder
 from nerm.constraints import JointsOf, sample_constrained
 from nerm.latents import LatentSpace, LinearModel, LocalLatents, in_use
-from nerm.network import ContactHead, Denoiser, EncodedCoordinates, FieldNetwork
+from nerm.network import Denoiser, EncodedCoordinates, FieldNetwork
 from nerm.recipes import DenoiserConfig, FieldConfig, row_name
 
 GRIDS_KEPT = 16
@@ -75,7 +70,7 @@ class TrainedField:
     """f_θ with its scales and the posteriors N(μ_i, Σ_i) of all training windows.
 
     `network` is in evaluation mode without gradients; `linear_model` is the one that initialises local latents (None
-    for the global layout); `vectors` is the pose vector convention; `contacts` is the contact head (None: not trained).
+    for the global layout); `vectors` is the pose vector convention.
     """
 
     network: FieldNetwork
@@ -86,7 +81,6 @@ class TrainedField:
     windows: Windows
     store_fingerprint: str
     vectors: PoseVectors = FIELD_VECTORS
-    contacts: ContactHead | None = None
 
     @property
     def config(self) -> FieldConfig:
@@ -228,17 +222,6 @@ class LatentMotionField:
             context = np.linspace(0.0, self.end_seconds, CONTEXT_INSTANTS)
         return self.field.poses(self.latent, times_seconds, self.fps, context)
 
-    @torch.no_grad()
-    def contacts(self, times_seconds: Float64[np.ndarray, "times"]) -> Float32[np.ndarray, "times 2 2"] | None:
-        """Contact probabilities of ankle and toe of left and right foot; None without a contact head."""
-        check_times(self, times_seconds)
-        field = self.field
-        if field.contacts is None:
-            return None
-        encoded = field.encode_times(times_seconds[None], self.fps)
-        logits = field.contacts(field.network.read(self.latent[None].float().to(field.device), encoded))
-        return np.asarray(torch.sigmoid(logits)[0].cpu().numpy().reshape(-1, 2, 2))
-
 
 def save_field(folder: StageFolder, trained: TrainedField) -> None:
     """Write model.safetensors: network, scales, posteriors and the window table, with the settings in its header."""
@@ -249,8 +232,6 @@ def save_field(folder: StageFolder, trained: TrainedField) -> None:
         | vector_tensors(trained.vectors)
         | prefixed("windows", {name: torch.from_numpy(array) for name, array in trained.windows.arrays().items()})
     )
-    if trained.contacts is not None:
-        tensors |= prefixed("contacts", trained.contacts.state_dict())
     if (linear := trained.linear_model) is not None:
         tensors |= prefixed("components", {"mean": linear.mean, "directions": linear.directions})
     description = {"config": to_plain(trained.config), "store_fingerprint": trained.store_fingerprint}
@@ -276,14 +257,10 @@ def load_field(run: RunFolder | Path, device: str | torch.device = "cpu") -> Tra
         scaling = VectorScaling(tensors["scaling.mean"], tensors["scaling.scale"])
         network = FieldNetwork(config, len(scaling.mean), tensors.get("network.attention.codebook"))
         network.load_state_dict(unprefixed("network", tensors))
-        linear, contacts = None, None
+        linear = None
         if network.local is not None:
             components = tensors["components.mean"], tensors["components.directions"]
             linear = LinearModel(network.local, scaling, *components)
-        if of_contacts := unprefixed("contacts", tensors):
-            contacts = ContactHead(network.num_read)
-            contacts.load_state_dict(of_contacts)
-            contacts.to(where).eval().requires_grad_(False)
         arrays = {name: tensor.numpy() for name, tensor in unprefixed("windows", tensors).items()}
         return TrainedField(
             network=network.to(where).eval().requires_grad_(False),
@@ -294,7 +271,6 @@ def load_field(run: RunFolder | Path, device: str | torch.device = "cpu") -> Tra
             windows=Windows(config.windows.max_duration_seconds, **arrays),
             store_fingerprint=str(description["store_fingerprint"]),
             vectors=vectors_of(config.pose_vectors, tensors),
-            contacts=contacts,
         )
 
 

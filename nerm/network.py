@@ -14,7 +14,7 @@ from nerm.recipes import Activation, EncoderConfig, FieldConfig, TransformerConf
 REFERENCE_FPS = 20.0
 # Of so many poses a layer's activations stay in a core's cache.
 POSES_IN_CACHE = 600
-NUM_LOGITS, CONTACT_WIDTH, DURATION_FREQUENCIES = 4, 128, 8
+DURATION_FREQUENCIES = 8
 
 
 def distinct(values: Float64[Tensor, "*shape"]) -> tuple[Float64[Tensor, "padded"], Int64[Tensor, "*shape"]]:
@@ -200,7 +200,6 @@ class FieldNetwork(nn.Module):
                 raise ValueError("the time encoding 'codebook' needs a trained codebook")
             self.attention = CodebookCoordinateAttention(codebook, encoder)
         hidden, num_inputs = decoder.width, config.latents.dimension if self.local is None else self.local.num_inputs
-        self.num_read = num_inputs + width
         self.from_latent = Linear(num_inputs, hidden)
         self.from_coordinate = Linear(width, hidden, bias=False) if width else None
         self.from_framerate = Linear(1, hidden, bias=False)
@@ -252,14 +251,6 @@ class FieldNetwork(nn.Module):
             features = self.attention(features)
         return features[which]
 
-    def read(
-        self, latents: Float[Tensor, "batch latent"], encoded: EncodedCoordinates
-    ) -> Float[Tensor, "batch poses read"]:
-        """The decoder's inputs from z and t at each pose, `num_read` numbers, for latents with knots."""
-        assert self.local is not None
-        inputs, _ = self.local.read(latents, encoded.weights, encoded.which)
-        return inputs if encoded.features is None else torch.cat((inputs, encoded.features[encoded.which]), dim=-1)
-
     def decode(
         self,
         latents: Float[Tensor, "batch latent"],
@@ -308,22 +299,6 @@ class FieldNetwork(nn.Module):
     ) -> Float[Tensor, "batch poses numbers"]:
         """f_θ(t_{v,s}, z, s) for a batch of clips."""
         return self.decode(latents, self.encode_coordinates(coordinates, fps), fps)
-
-
-class ContactHead(nn.Module):
-    """Logits of contact of left ankle, left toe, right ankle and right toe, from the output of `FieldNetwork.read`."""
-
-    def __init__(self, num_read: int) -> None:
-        super().__init__()
-        width = CONTACT_WIDTH
-        self.layers = nn.Sequential(
-            Linear(num_read, width), nn.SiLU(), Linear(width, width), nn.SiLU(), Linear(width, NUM_LOGITS)
-        )
-
-    def forward(self, read: Float[Tensor, "batch poses read"]) -> Float[Tensor, "batch poses 4"]:
-        """Logits."""
-        logits: Tensor = self.layers(read)
-        return logits
 
 
 def attention(

@@ -174,7 +174,7 @@ class FieldConfig:
     """The variational implicit representation (paper §3.1, B, D); lengths in seconds, rates in frames a second.
 
     `pose_vectors` is the representation of a pose (motionkit/features): positions, the published 263 numbers, or
-    SMPL's rotations. `contact_steps` are those of the contact head, which needs local latents (0: none).
+    SMPL's rotations.
     """
 
     where: str = "split = 'train'"
@@ -187,7 +187,6 @@ class FieldConfig:
     loss: FieldLossConfig = FieldLossConfig()
     schedule: Schedule = Schedule(epochs=20_000, batch_size=4096)
     optimizer: FieldOptimizerConfig = FieldOptimizerConfig()
-    contact_steps: int = 0
     precision: Precision = "float32"
 
     def __post_init__(self) -> None:
@@ -288,7 +287,7 @@ def nano() -> NermConfig:
             "windows.stride_seconds=2 clips.num_poses=8 clips.contiguous=false clips.seconds_per_visit=2.5 "
             "clips.warmup_fraction=0.02 clips.lowest_fps=20 latents.layout=local latents.initial_log_variance=-8 "
             "encoder.num_queries=64 encoder.framerate_scale=0.05 decoder.width=256 decoder.activation=silu "
-            "loss.scaling=group loss.root_weight=4 contact_steps=800 precision=auto "
+            "loss.scaling=group loss.root_weight=4 precision=auto "
             "schedule.epochs=none schedule.steps=8000 schedule.batch_size=256 schedule.learning_rate=8e-3 "
             "schedule.kind=cosine schedule.warmup_fraction=0.05 optimizer.attention_learning_rate=1e-3 "
             "optimizer.latent_learning_rate=1e-2 optimizer.weight_decay=0",
@@ -334,7 +333,7 @@ def demo() -> NermConfig:
         nano(),
         "codebook.network.width=64 codebook.network.num_codes=128 codebook.schedule.steps=120 "
         f"codebook.schedule.batch_size=32 codebook.schedule.drop_every={100 / 120} field.windows.stride_seconds=5 "
-        "field.schedule.steps=1200 field.contact_steps=0 denoiser.schedule.steps=1000 "
+        "field.schedule.steps=1200 denoiser.schedule.steps=1000 "
         "denoiser.conditions.paraphrases=0 denoiser.variations=0",
     )
 

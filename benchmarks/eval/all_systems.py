@@ -9,7 +9,7 @@ A budget is the processor time that the operating system counts for a system's t
 the last weight on disk, with an empty cache each: reading the store, pose vectors, text embeddings, linear fits,
 autoencoders and contact heads are in it. Each system has five trials on the validation part: three learning rates, then
 guidance and sampling steps, or half the batch and a rate more where nothing is guided. The best by clip-FID of planted
-motion at 60 fps is trained with each seed. All motion is planted by detected contacts; NeRM's by its own too.
+motion at 60 fps is trained with each seed. All motion is planted.
 """
 
 import json
@@ -21,7 +21,6 @@ import sys
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
 from fractions import Fraction
 from functools import lru_cache
 from multiprocessing import get_context
@@ -36,12 +35,11 @@ from eval.sets.sets import RowId, Variant
 from eval.tables.systems import Yardstick
 from eval.tables.table import EvalConfig
 from motionkit.core import plugins
-from motionkit.core.files import sha256_of, write_json
+from motionkit.core.files import write_json
 from motionkit.generate.models import SamplingOptions, installed_models
 from motionkit.store.reader import Store
 from motionkit.training.config import flatten
-from motionkit.training.run import RunError, RunFolder
-from nerm.model import load_denoiser, load_field, save_denoiser, save_field
+from motionkit.training.run import RunError
 from nerm.recipes import LOCAL
 
 TRIALS = Path("docs/results/all-systems-trials.json")
@@ -58,7 +56,6 @@ GUIDED = {
 }
 # Encoding variations took longer than six minutes at the time of the trials; 1,000 steps of MDM take 6 s a motion.
 FIXED = {"nerm": ("denoiser:denoiser.variations=0",), "mdm": ("mdm:network.diffusion.sampling_steps=50",)}
-OWN = "-own-contacts"
 
 
 def stages_of(system: str) -> list[tuple[str, float]]:
@@ -150,10 +147,9 @@ def trials(system: str, runs: Path, store: Path) -> list[dict[str, Any]]:
 
     def training(*settings: str) -> float:
         run = runs / f"trial-{len(found)}"
-        without_contacts = ("field:field.contact_steps=0",) if system == "nerm" else ()
         value = None
         with suppress(RunError):  # a rate at which it diverges
-            train(system, run, store, TRIAL_SECONDS, (*settings, *without_contacts), TRIAL_SEED)
+            train(system, run, store, TRIAL_SECONDS, settings, TRIAL_SEED)
             value = score(system, run, store)
         found.append({"settings": settings, "clip_fid": value})
         return math.inf if value is None else value
@@ -176,33 +172,17 @@ def ranked(found: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return sorted((each for each in found if each["clip_fid"] is not None), key=lambda each: float(each["clip_fid"]))
 
 
-def split_contacts(run: Path) -> Path:
-    """Move NeRM's contact head into a copy of its stages, so that the run's motion is planted by detected contacts."""
-    own = run.with_name(run.name + OWN)
-    if not own.is_dir() and (run / "field").is_dir():
-        for name in ("codebook", "field", "denoiser"):
-            shutil.copytree(run / name, own / name)
-        field, denoiser = RunFolder(run).stage("field"), RunFolder(run).stage("denoiser")
-        save_field(field, replace(load_field(own), contacts=None))
-        trained = load_denoiser(RunFolder(own))
-        save_denoiser(denoiser, replace(trained, field_sha256=sha256_of(field.model_path)))
-        for stage in (field, denoiser):
-            stage.finish(json.loads(stage.summary_path.read_text()))
-    return own
-
-
 def evaluate_runs(runs: Path, store: Path, results: Path, evaluator: Path) -> None:
-    """Table 2 of every run on the test part, of NeRM planted by its own contacts, and Table 1 of the first seed."""
+    """Table 2 of every run on the test part, and Table 1 of the first seed's."""
     of_clips: tuple[str, ...] = ("--fps", "20,60,120", "--evaluator", "kinematic")
     for run in sorted(runs.glob("*s-[0-9]")):
-        own = split_contacts(run)
-        tables = [(run, "2", of_clips), (own, "2", of_clips)]
+        tables = [("2", of_clips)]
         if run.name.endswith("s-0"):
             shutil.copytree(evaluator / "evaluator", run / "evaluator", dirs_exist_ok=True)
-            tables.append((run, "1", ()))
-        for each, table, options in tables:
-            if each.is_dir() and not (results / each.name / f"nerm-table{table}.json").is_file():
-                evaluate(table, each, store, results, *options)
+            tables.append(("1", ()))
+        for table, options in tables:
+            if not (results / run.name / f"nerm-table{table}.json").is_file():
+                evaluate(table, run, store, results, *options)
 
 
 def main() -> None:

@@ -14,9 +14,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.command import arguments_parser
-from benchmarks.eval.all_systems import OWN, title
+from benchmarks.eval.all_systems import title
 from motionkit.generate.models import installed_models
-from nerm.recipes import LOCAL
 
 FPS, PLANTED = "60 fps", ", planted"
 COLUMNS = ("20 fps", FPS, "120 fps", "recall", "precision", "T", "12–18 Hz", "R-Precision, top 3 ↑")
@@ -78,8 +77,6 @@ def main() -> None:
     seeds = [[found for name, found in of_run.items() if name.startswith(f"{each:g}s-")] for each in budgets]
     names = (*REFERENCES, *map(title, installed_models()))
     rows = {name: [each.get(name, {}) for each in seeds[0]] for name in names}
-    own = [figures_of(path) for path in sorted(given.results.glob(f"{budgets[0]:g}s-[0-9]{OWN}"))]
-    rows[f"{LOCAL}, its own contacts"] = [each.get(LOCAL, {}) for each in own]
     long = seeds[-1] if len(seeds) > 1 else []
     later = {name: [each[name][FPS] for each in long if name in each] for name in rows}
     print(" | ".join(("|", *COLUMNS, f"{FPS}, {budgets[-1] / 60:g} minutes |")))

@@ -124,7 +124,7 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--run", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    settings = [f"field.schedule.steps={arguments.steps}", "field.encoder.kind=fourier", "field.contact_steps=0"]
+    settings = [f"field.schedule.steps={arguments.steps}", "field.encoder.kind=fourier"]
     settings += arguments.settings
     if arguments.store is not None:
         print(json.dumps(train_here(arguments.store, arguments.runs / arguments.run, arguments.settings)))

@@ -22,7 +22,6 @@ SETTINGS = {
         "codebook.network.num_codes=8 "
         "field.precision=float32 field.windows.max_duration_seconds=3 field.decoder.width=16 field.schedule.steps=8 "
         "field.decoder.num_layers=2 field.schedule.batch_size=4 field.encoder.num_layers=1 field.encoder.num_queries=8 "
-        "field.contact_steps=4 "
         "denoiser.schedule.steps=8 denoiser.schedule.batch_size=4 denoiser.network.num_layers=1 "
         "denoiser.network.width=16 denoiser.network.ffn_width=16 denoiser.diffusion.sampling_steps=2 "
         "denoiser.conditions.text_encoder=none"

@@ -5,16 +5,16 @@ overlap, because two fields that only touch agree neither in place nor in veloci
 needs them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
 
 from motionkit.core.kinematics import quaternion_multiply, quaternion_rotate, quaternion_slerp
-from motionkit.core.shapes import Float, Float32, Float64, Int64
+from motionkit.core.shapes import Float, Float64, Int64
 from motionkit.core.skeleton import Skeleton
-from motionkit.fields.motion_field import Joints, MotionField, Poses, Times, at_fps, check_times, contacts_of
+from motionkit.fields.motion_field import Joints, MotionField, Poses, Times, at_fps, check_times
 
 SHORTEST_OVERLAP_SECONDS = 1e-3
 _TIMES_TO_FIT = 16
@@ -102,7 +102,9 @@ class AssembledField:
         check_times(self, times_seconds)
         first, weight = self._fades(times_seconds)
         result: Poses | None = None
-        for number, rows in self._rows_of_pieces(first, weight):
+        fading = weight > 0.0
+        for number in np.union1d(first, first[fading] + 1).tolist() or [0]:
+            rows = np.flatnonzero((first == number) | (fading & (first == number - 1)))
             poses = self.pieces[number].query(times_seconds[rows])
             if result is None:
                 result = poses.room_for(len(times_seconds))
@@ -114,21 +116,6 @@ class AssembledField:
         assert result is not None
         return result
 
-    def contacts(self, times_seconds: Times) -> Float32[np.ndarray, "times 2 2"] | None:
-        """Contact probabilities (`PredictsContacts`): the more confident of two pieces where they overlap.
-
-        None if a piece doesn't predict contacts.
-        """
-        check_times(self, times_seconds)
-        result = np.zeros((len(times_seconds), 2, 2), np.float32)
-        for number, rows in self._rows_of_pieces(*self._fades(times_seconds)):
-            piece = self.pieces[number]
-            probabilities = contacts_of(piece.field, piece.own_seconds(times_seconds[rows]))
-            if probabilities is None:
-                return None
-            result[rows] = np.maximum(result[rows], probabilities)
-        return result
-
     def _fades(self, times: Times) -> tuple[Int64[np.ndarray, "times"], Times]:
         """The first piece at each time, and the weight of the one after it: 0 outside their fade."""
         first = np.searchsorted(self.fade_end, times, side="right")
@@ -136,14 +123,6 @@ class AssembledField:
         length = np.append(self.fade_end - self.fade_start, 1.0)[first]
         u = np.maximum(0.0, (times - start) / length)
         return first.astype(np.int64), u**3 * (u * (6.0 * u - 15.0) + 10.0)
-
-    def _rows_of_pieces(
-        self, first: Int64[np.ndarray, "times"], weight: Times
-    ) -> Iterator[tuple[int, Int64[np.ndarray, "rows"]]]:
-        """The pieces that are needed, in order, and at which of the times."""
-        fading = weight > 0.0
-        for number in np.union1d(first, first[fading] + 1).tolist() or [0]:
-            yield number, np.flatnonzero((first == number) | (fading & (first == number - 1)))
 
 
 def assemble(pieces: Sequence[Piece]) -> AssembledField:

@@ -229,25 +229,11 @@ class FramerateConditioned(Protocol):
         """The same motion, conditioned on this framerate."""
 
 
-@runtime_checkable
-class PredictsContacts(Protocol):
-    """A motion field whose model also predicts which feet touch the ground."""
-
-    def contacts(self, times_seconds: Times) -> Float32[np.ndarray, "times 2 2"] | None:
-        """Contact probabilities of ankle and toe of left and right foot; None if not available."""
-
-
-def contacts_of(field: MotionField, times_seconds: Times) -> Float32[np.ndarray, "times 2 2"] | None:
-    """A field's predicted contacts; None if it has none."""
-    return field.contacts(times_seconds) if isinstance(field, PredictsContacts) else None
-
-
 @dataclass(frozen=True, eq=False)
 class DerivedField:
     """A `MotionField` whose poses are computed from another one's, on the same domain.
 
     `compute` gives the poses at some times; `derive` derives the same for a framerate (None: it depends on none).
-    Predicted contacts are the other field's.
     """
 
     field: MotionField
@@ -277,10 +263,6 @@ class DerivedField:
         """Poses at any times inside the domain, in any order; raises `ValueError` outside it."""
         check_times(self, times_seconds)
         return self.compute(times_seconds)
-
-    def contacts(self, times_seconds: Times) -> Float32[np.ndarray, "times 2 2"] | None:
-        """The other field's predicted contacts, if any."""
-        return contacts_of(self.field, times_seconds)
 
 
 def query_in_blocks(query: Callable[[Times], Poses], times_seconds: Times) -> Poses:

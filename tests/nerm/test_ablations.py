@@ -19,7 +19,7 @@ CODES = torch.randn(20, 12, generator=torch.Generator().manual_seed(5))
 SMALLER = (
     "field.windows.max_duration_seconds=4 field.windows.stride_seconds=4 field.decoder.width=24 "
     "field.decoder.num_layers=3 field.encoder.num_queries=8 field.encoder.num_frequencies=8 "
-    "field.schedule.batch_size=8 field.schedule.epochs=none field.schedule.steps=12 field.contact_steps=10 "
+    "field.schedule.batch_size=8 field.schedule.epochs=none field.schedule.steps=12 "
     "field.schedule.learning_rate=2e-3 field.optimizer.latent_learning_rate=2e-2 field.precision=float32"
 )
 LAYOUTS = ("global", "local")

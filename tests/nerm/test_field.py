@@ -112,7 +112,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Store:
 
 TINY = (
     "field.encoder.kind=fourier field.windows.max_duration_seconds=4 field.windows.stride_seconds=4 "
-    "field.decoder.width=48 field.decoder.num_layers=3 field.schedule.steps=120 field.contact_steps=10 "
+    "field.decoder.width=48 field.decoder.num_layers=3 field.schedule.steps=120 "
     "field.schedule.batch_size=4 field.clips.num_poses=16 field.precision=float32 field.windows.mirrored=true"
 )
 

@@ -107,19 +107,17 @@ def ground_of(paths: Float[np.ndarray, "instants feet ends 3"], fps: float) -> G
     return Ground(level, floor, float(np.quantile(paths[..., 1].min(axis=(1, 2)), LEVEL_QUANTILE)))
 
 
-def find_contacts(
-    paths: FootPaths, fps: float, ground: Ground, predicted: EndMask | None = None, limits: Limits = CAPTURED
-) -> Contacts:
-    """Contacts of foot joints sampled at `fps`: the `predicted` ones, else detected from their paths."""
+def find_contacts(paths: FootPaths, fps: float, ground: Ground, limits: Limits = CAPTURED) -> Contacts:
+    """Contacts of foot joints from their paths, sampled at `fps`."""
     velocity = velocities(paths, fps)
     speed = np.linalg.norm(velocity, axis=-1)
     height = _above_ground(paths[..., 1] - ground.level, fps)
     level_speed = np.hypot(velocity[..., 0], velocity[..., 2])
-    down = _down(height, speed, fps, 0) if predicted is None else _cleaned(predicted, fps)
+    down = _down(height, speed, fps, 0)
     rests = Rests.of(down, level_speed, fps)
     beside = rests.stands[:, ::-1]
     here, around = rests.sliding(fps, limits)
-    if predicted is None and (around > 0.5).any():
+    if (around > 0.5).any():
         down = np.where((around > 0.5)[:, None, None], _down(height, speed, fps, 1), down)
         rests = Rests.of(down, level_speed, fps)
     steadiest = _steadiest(down, velocity, level_speed)

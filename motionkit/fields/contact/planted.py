@@ -23,7 +23,6 @@ from motionkit.fields.contact.detection import (
     CAPTURED,
     GENERATED,
     Contacts,
-    EndMask,
     FootPaths,
     Ground,
     PerEnd,
@@ -40,7 +39,6 @@ from motionkit.fields.motion_field import (
     Poses,
     Times,
     at_fps,
-    contacts_of,
     query_in_blocks,
     turned_rotations,
 )
@@ -261,7 +259,6 @@ GRID_FPS = 120.0
 BONE_SAMPLES = 512
 _UP = np.array([0.0, 1.0, 0.0])
 _SMALL_METRES = 1e-7
-PROBABLY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,16 +293,14 @@ def planted(field: MotionField, path: Path = "near") -> DerivedField:
     """A field with planted feet; positions without rotations are projected onto constant bone lengths first.
 
     With a `free` path the body goes where its planted feet carry it, and may end elsewhere: for generated motion.
-    Contacts are those that the field predicts (`PredictsContacts`), else they are detected at 120 Hz or slightly more,
-    so that the last sample is the field's end. Raises `SkeletonMapError` for a skeleton whose legs aren't known.
+    Contacts are detected at 120 Hz or slightly more, so that the last sample is the field's end. Raises
+    `SkeletonMapError` for a skeleton whose legs aren't known.
     """
     span = field.end_seconds - field.start_seconds
     count = int(np.ceil(span * GRID_FPS - 1e-6)) + 1
     fps = (count - 1) / span if count > 1 else GRID_FPS
     times = np.minimum(field.start_seconds + np.arange(count) / fps, field.end_seconds)
-    probability = contacts_of(field, times)
-    predicted = None if probability is None else np.asarray(probability > PROBABLY)
-    return _planting(field, field.query(times), fps, path, predicted).derived()
+    return _planting(field, field.query(times), fps, path).derived()
 
 
 def planted_frames(observation: Observation, frames: TimeGrid, path: Path = "near") -> Planting:
@@ -318,7 +313,7 @@ def planted_frames(observation: Observation, frames: TimeGrid, path: Path = "nea
     return _planting(field, observation.poses.rows(slice(None, None, step)), float(frames.fps / step), path)
 
 
-def _planting(field: MotionField, poses: Poses, fps: float, path: Path, predicted: EndMask | None = None) -> Planting:
+def _planting(field: MotionField, poses: Poses, fps: float, path: Path) -> Planting:
     """The planting of a field by its poses at the samples of a grid."""
     legs, bones, positions = legs_of(field.skeleton), None, poses.joint_positions
     if poses.local_rotations is None:
@@ -328,7 +323,7 @@ def _planting(field: MotionField, poses: Poses, fps: float, path: Path, predicte
             positions = bones.applied(positions, legs.feet)
     paths = legs.foot_paths(positions).astype(np.float64)
     ground = ground_of(paths, fps)
-    contacts = find_contacts(paths, fps, ground, predicted, CAPTURED if path == "near" else GENERATED)
+    contacts = find_contacts(paths, fps, ground, CAPTURED if path == "near" else GENERATED)
     offsets = np.zeros((len(paths), KINDS, 3))
     if len(paths) >= FEWEST_INSTANTS:
         offsets = offsets_of(paths, contacts, ground, fps, path)

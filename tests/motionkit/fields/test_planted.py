@@ -1,4 +1,4 @@
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -8,11 +8,10 @@ from hypothesis import strategies as st
 
 import motionkit as mk
 from motionkit.core.kinematics import forward_kinematics
-from motionkit.fields.contact.detection import find_contacts, ground_of
 from motionkit.fields.contact.planted import Path as BodyPath
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.interpolation import interpolate
-from motionkit.fields.motion_field import DerivedField, MotionField, to_motion
+from motionkit.fields.motion_field import MotionField, to_motion
 from tests.helpers.analytic import capture
 from tests.helpers.velocities import joint_velocities
 
@@ -71,35 +70,6 @@ def test_feet_that_slide_stand(rotations: bool) -> None:
     # The path that feet carry the body along is the capture's own.
     off = after.joint_positions[:, 0] - motion.joint_positions[:, 0]
     assert np.abs(off - off[0])[:, ::2].max() < 0.25
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Knowing(DerivedField):
-    """A field that says when its feet are on the ground."""
-
-    fps: Fraction
-    down: np.ndarray
-
-    def contacts(self, times_seconds: np.ndarray) -> np.ndarray | None:
-        row = np.round((times_seconds - self.start_seconds) * float(self.fps)).astype(int)
-        return self.down[np.minimum(row, len(self.down) - 1)].astype(np.float32)
-
-
-def test_contacts_that_the_field_knows_are_taken() -> None:
-    motion = capture(FPS, "walk", seconds=6.0)
-    still = true_rests(motion)
-    paths = motion.joint_positions[:, FEET].reshape(-1, 2, 2, 3).astype(np.float64)
-    down = find_contacts(paths, float(FPS), ground_of(paths, float(FPS))).down
-    # So fast that no detection takes it for a foot on the ground.
-    fast = interpolate(bare(slid(motion, 2.5)), "cubic")
-    same = (fast, fast.query, lambda fps: fast)
-    speeds = [
-        steadiest_speed(to_motion(planted(field, "free"), FPS).joint_positions, still, FPS).mean()
-        for field in (fast, Knowing(*same, fps=FPS, down=down), Knowing(*same, fps=FPS, down=np.zeros_like(down)))
-    ]
-    assert speeds[0] > 1.0
-    assert speeds[1] < 0.1
-    assert speeds[2] == pytest.approx(2.5, rel=0.02)
 
 
 def test_generated_feet_stand_where_captured_ones_may_creep() -> None:
