@@ -1,7 +1,7 @@
 """NeRM's settings (no torch), its recipes, its stages, how its rows are named, and its ablations.
 
-The settings' defaults are the paper's. Recipes: `paper` (the paper's settings), `base` (an hour on a GPU), `small` (half
-an hour on a CPU core), `nano` and `demo` (minutes there).
+The settings' defaults are the paper's. Recipes: `paper` (the paper's settings), `base` (an hour on a GPU), `small`
+(half an hour of a CPU core), `nano` and `demo` (minutes).
 """
 
 from collections.abc import Callable
