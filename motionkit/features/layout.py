@@ -173,12 +173,14 @@ def bone_rotations(
     radians. A bone of length zero is not rotated; one opposite to its rest direction is rotated by 180°. Source:
     HumanML3D, common/skeleton.py (`inverse_kinematics_np`).
     """
-    bones = joint_positions[:, 1:] - joint_positions[:, list(body.skeleton.parents[1:])]
-    world = np.zeros((*joint_positions.shape[:2], 4), joint_positions.dtype)
-    world[:, 0, 0], world[:, 0, 2] = np.cos(half_turn), np.sin(half_turn)
-    world[:, 1:] = kinematics.quaternion_between(np.array(body.bone_directions[1:], bones.dtype), bones)
-    previous = kinematics.quaternion_conjugate(world[:, body.previous_bones])
-    return kinematics.two_columns(kinematics.quaternion_multiply(previous, world[:, 1:]))
+    # Components apart in memory, which is up to twice as fast.
+    x_y_z = np.ascontiguousarray(joint_positions.T)
+    bones = np.moveaxis(x_y_z[:, 1:] - x_y_z[:, list(body.skeleton.parents[1:])], 0, -1)
+    world = np.moveaxis(np.zeros((4, *x_y_z.shape[1:]), bones.dtype), 0, -1)
+    world[0, :, 0], world[0, :, 2] = np.cos(half_turn), np.sin(half_turn)
+    world[1:] = kinematics.quaternion_between(np.array(body.bone_directions[1:], bones.dtype)[:, None], bones)
+    previous = kinematics.quaternion_conjugate(world[body.previous_bones])
+    return kinematics.two_columns(np.swapaxes(kinematics.quaternion_multiply(previous, world[1:]), 0, 1))
 
 
 def pose_rows(
