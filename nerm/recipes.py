@@ -318,7 +318,7 @@ def base() -> NermConfig:
         "field.optimizer.attention_learning_rate=5e-4 denoiser.network.num_layers=9 denoiser.network.width=512 "
         "denoiser.network.num_heads=8 denoiser.network.ffn_width=2048 denoiser.network.dropout=0.1 "
         "denoiser.network.latent_tokens=16 denoiser.schedule.steps=80000 denoiser.schedule.batch_size=256 "
-        "denoiser.variations=2 denoiser.schedule.learning_rate=3e-4 denoiser.ema_decay=0.9999",
+        "denoiser.schedule.learning_rate=3e-4 denoiser.ema_decay=0.9999",
     )
 
 
