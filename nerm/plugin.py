@@ -12,5 +12,5 @@ MODELS = {
 }
 ENCODERS = {"nerm": Loader("NeRM", ("field",), lazily("nerm.encoding:load"), tasks=("reconstruction",))}
 ABLATIONS = {"nerm": "nerm.recipes:NERM"}
-# `motionkit pack` writes them (CONTRIBUTING.md).
+# `motionkit pack` writes them.
 RUNS = {summary.parents[1].name: summary.parents[1] for summary in Path(__file__).parent.glob("runs/*/*/summary.json")}
