@@ -6,8 +6,8 @@
     python -m benchmarks.eval.all_systems_table --results RESULTS                    # the table and the figure
 
 A budget is the processor time that the operating system counts for a system's trainings, from the start of Python to
-the last weight on disk, with an empty cache each: reading the store, pose vectors, text embeddings, linear fits,
-autoencoders and contact heads are in it. Each system has five trials on the validation part: three learning rates, then
+the last weight on disk, with an empty cache each: reading the store, pose vectors, text embeddings, linear fits
+and autoencoders are in it. Each system has five trials on the validation part: three learning rates, then
 guidance and sampling steps, or half the batch and a rate more where nothing is guided. The best by clip-FID of planted
 motion at 60 fps is trained with each seed. All motion is planted.
 """
