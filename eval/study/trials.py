@@ -278,7 +278,7 @@ def preferences(key: Mapping[str, Any], answers: Iterable[Mapping[int, str]]) ->
             (second,) = (name for name in trial["systems"] if name != first)
             by_fps = wins.setdefault((trial["question"], second), {})
             by_fps.setdefault(parse_fps(trial["fps"]), []).append(trial["systems"][SIDES[choice]] == first)
-    found = []
+    every = []
     for question, second in sorted(wins, key=lambda each: (list(QUESTIONS).index(each[0]), each[1])):
         by_fps = dict(sorted(wins[question, second].items()))
         columns = {f"{float(fps):g}": won for fps, won in by_fps.items()}
@@ -289,5 +289,5 @@ def preferences(key: Mapping[str, Any], answers: Iterable[Mapping[int, str]]) ->
             test = binomtest(sum(won), len(won))
             interval = test.proportion_ci(method="wilson")
             shares = sum(won) / len(won), float(interval.low), float(interval.high), float(test.pvalue)
-            found.append(Preference(question, first, second, fps, len(won), sum(won), *shares))
-    return found
+            every.append(Preference(question, first, second, fps, len(won), sum(won), *shares))
+    return every

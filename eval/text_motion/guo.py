@@ -119,11 +119,11 @@ def read_statistics(folder: Path, kind: GuoKind) -> Statistics:
     """
     # The names in Guo's archives, in MARDM's, and in MDM's copies of Guo's.
     pairs = [(folder / f"{prefix}mean.npy", folder / f"{prefix}std.npy") for prefix in ("", "eval_", "t2m_", "kit_")]
-    found = next((pair for pair in pairs if all(path.is_file() for path in pair)), None)
-    if found is None:
+    pair = next((pair for pair in pairs if all(path.is_file() for path in pair)), None)
+    if pair is None:
         raise GuoError(f"{folder}: there is no mean.npy and std.npy; they come with the evaluator (docs/evaluators.md)")
     try:
-        mean, std = (npy.parse_npy(path, source_file.read_bytes(path), (kind.num_statistics,)) for path in found)
+        mean, std = (npy.parse_npy(path, source_file.read_bytes(path), (kind.num_statistics,)) for path in pair)
         statistics = Statistics(mean.astype(np.float64), std.astype(np.float64))
     except (FormatError, ValueError) as error:
         raise GuoError(f"{folder}: {error}") from None
@@ -167,7 +167,7 @@ class WordVectors:
     vectors: Float64[np.ndarray, "words 300"]
     row: Mapping[str, int]
 
-    def sentence(self, caption: Caption) -> tuple[Float64[Tensor, "steps 300"], Float64[Tensor, "steps parts"]]:
+    def sentence(self, caption: Caption) -> tuple[Float64[Tensor, "steps 300"], Float64[Tensor, "steps tags"]]:
         """The caption's first 20 tokens between `sos` and `eos`: word vectors, and parts of speech as one-hot rows.
 
         Words outside the vocabulary are `unk`/OTHER. Raises `GuoError` for a caption without tokens, or with one that
@@ -175,19 +175,19 @@ class WordVectors:
         """
         tokens = [token.rpartition("/")[::2] for token in caption.tokens.split()[:MAX_TOKENS]]
         # A tagger gives X to single words; `motionkit export` writes it for captions that nobody tagged.
-        untagged = len(tokens) > 2 and all(part == "X" for _, part in tokens)
+        untagged = len(tokens) > 2 and all(tag == "X" for _, tag in tokens)
         if not tokens or untagged or not all(word for word, _ in tokens):
             raise GuoError(
                 f"caption {caption.text!r} has no word/POS tokens, which Guo's text encoder reads; take those of "
                 "HumanML3D's or KIT's texts/*.txt (spaCy's en_core_web_sm wrote them; docs/evaluators.md)"
             )
-        important = {word: part for part, words in IMPORTANT.items() for word in words.split()}
-        rows, parts = [], []
-        for word, part in ((START, ""), *tokens, (END, "")):
-            part = important.get(word, part) if word in self.row else "OTHER"
+        important = {word: tag for tag, words in IMPORTANT.items() for word in words.split()}
+        rows, tags = [], []
+        for word, tag in ((START, ""), *tokens, (END, "")):
+            tag = important.get(word, tag) if word in self.row else "OTHER"
             rows.append(self.row.get(word, self.row[UNKNOWN]))
-            parts.append(PARTS_OF_SPEECH.index(part if part in PARTS_OF_SPEECH else "OTHER"))
-        one_hot = np.eye(len(PARTS_OF_SPEECH))[parts]
+            tags.append(PARTS_OF_SPEECH.index(tag if tag in PARTS_OF_SPEECH else "OTHER"))
+        one_hot = np.eye(len(PARTS_OF_SPEECH))[tags]
         return torch.from_numpy(self.vectors[rows]), torch.from_numpy(one_hot)
 
 
@@ -267,9 +267,9 @@ class GuoNetworks(nn.Module):
         return embeddings
 
     def embed_texts(self, sentences: list[tuple[Tensor, Tensor]]) -> Float64[Tensor, "batch shared"]:
-        """Embeddings of sentences: word vectors [steps, 300] and parts of speech [steps, parts] of each."""
-        parts_encoder = self.text_encoder.get_submodule("pos_emb")
-        steps = [words + parts_encoder(parts) for words, parts in sentences]
+        """Embeddings of sentences: word vectors [steps, 300] and parts of speech [steps, tags] of each."""
+        tag_encoder = self.text_encoder.get_submodule("pos_emb")
+        steps = [words + tag_encoder(tags) for words, tags in sentences]
         embeddings: Tensor = self.text_encoder(steps)
         return embeddings
 
