@@ -17,8 +17,10 @@ from scipy.linalg import eigh
 from eval.clip_fid.score import local_poses
 from eval.sets.sets import SampleSet, middle
 from motionkit.core.errors import MotionkitError, UsageError
+from motionkit.core.kinematics import rotate_about_y
 from motionkit.core.shapes import Float32, Float64
 from motionkit.core.skeleton import SMPL22
+from motionkit.features.field import heading
 from motionkit.io import joints_npy, uestc
 
 FeaturesAndScores = tuple[Float64[np.ndarray, "sequences features"], Float64[np.ndarray, "sequences actions"]]
@@ -107,9 +109,6 @@ SHRINKAGE = 0.1
 LEAST_SPREAD = 0.01
 LONGEST_SECONDS = 3
 QUANTILES = (0.1, 0.9)
-LEFT_HIP, RIGHT_HIP, LEFT_SHOULDER, RIGHT_SHOULDER = (
-    SMPL22.index(name) for name in ("left_hip", "right_hip", "left_shoulder", "right_shoulder")
-)
 FEET = tuple(SMPL22.index(name) for name in ("left_ankle", "left_foot", "right_ankle", "right_foot"))
 
 
@@ -137,13 +136,9 @@ def motion_statistics(positions: Float32[np.ndarray, "frames 22 3"], fps: float)
 
 def _root_motion(positions: Float64[np.ndarray, "frames 22 3"], fps: float) -> Float64[np.ndarray, "steps 4"]:
     """Velocity to the left, forwards and upwards (m/s), and turning (rad/s), step by step."""
-    across = (
-        positions[:, LEFT_HIP] - positions[:, RIGHT_HIP] + positions[:, LEFT_SHOULDER] - positions[:, RIGHT_SHOULDER]
-    )
-    heading = np.unwrap(np.arctan2(-across[:, 2], across[:, 0]))
-    x, y, z = (np.diff(positions[:, 0], axis=0) * fps).T
-    sine, cosine = np.sin(heading[:-1]), np.cos(heading[:-1])
-    return np.stack((x * cosine - z * sine, x * sine + z * cosine, y, np.diff(heading) * fps), axis=1)
+    yaw = np.unwrap(heading(positions))
+    left, up, ahead = rotate_about_y(np.diff(positions[:, 0], axis=0) * fps, -yaw[:-1]).T
+    return np.stack((left, ahead, up, np.diff(yaw) * fps), axis=1)
 
 
 def fit_linear(train: SampleSet) -> ActionRecogniser:

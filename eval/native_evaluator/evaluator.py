@@ -20,9 +20,11 @@ from torch import Tensor, nn
 from eval.native_evaluator.stage import NetworkConfig
 from eval.sets.sets import SampleSet
 from motionkit.core.errors import MotionkitError
+from motionkit.core.kinematics import rotate_about_y
 from motionkit.core.motion import Caption
 from motionkit.core.shapes import Float, Float32, Float64
 from motionkit.core.skeleton import SMPL22
+from motionkit.features.field import heading
 from motionkit.training.config import from_plain
 from motionkit.training.loop import CheckpointError, load_tensors, rebuilding, weights_digest
 from motionkit.training.run import RunError, RunFolder
@@ -36,7 +38,7 @@ REFERENCE_FPS = 60.0
 MOST_DEVIATIONS = 5.0
 CLIPS_AT_ONCE = 256
 
-FEET, LEFT_HIP, RIGHT_HIP, LEFT_SHOULDER, RIGHT_SHOULDER = (7, 10, 8, 11), 1, 2, 16, 17
+FEET = (7, 10, 8, 11)
 
 
 def motion_input(clips: Float[np.ndarray, "clips poses 22 3"], fps: float) -> Float32[Tensor, "clips poses channels"]:
@@ -45,31 +47,18 @@ def motion_input(clips: Float[np.ndarray, "clips poses 22 3"], fps: float) -> Fl
     Positions beside the root in the body's heading (63), the root's height above the lowest foot (1), velocities in m/s
     in that heading, forward differences (66), and the logarithm of the framerate (1).
     """
-    positions = torch.from_numpy(clips.astype(np.float64))
-    hips = positions[:, :, LEFT_HIP] - positions[:, :, RIGHT_HIP]
-    across = (hips + positions[:, :, LEFT_SHOULDER] - positions[:, :, RIGHT_SHOULDER])[..., ::2]
-    length = across.norm(dim=-1, keepdim=True)
-    # A body without width faces +Z.
-    sideways = torch.where(length > 1e-6, across / length.clamp_min(1e-6), torch.tensor([1.0, 0.0]).double())
-    velocities = (positions[:, 1:] - positions[:, :-1]) * fps
-    velocities = torch.cat((velocities, velocities[:, -1:]), dim=1)
-    ground = positions[:, :, FEET, 1].amin(dim=(1, 2))
+    positions = clips.astype(np.float64)
+    yaw = heading(positions)[..., None]
+    velocities = np.diff(positions, axis=1) * fps
+    velocities = np.concatenate((velocities, velocities[:, -1:]), axis=1)
+    ground = positions[:, :, FEET, 1].min(axis=(1, 2))
     blocks = (
-        _in_heading(positions[:, :, 1:] - positions[:, :, :1], sideways).flatten(2),
+        rotate_about_y(positions[:, :, 1:] - positions[:, :, :1], -yaw).reshape(*yaw.shape[:2], 63),
         (positions[:, :, 0, 1] - ground[:, None])[..., None],
-        _in_heading(velocities, sideways).flatten(2),
-        torch.full_like(length, math.log(fps / REFERENCE_FPS)),
+        rotate_about_y(velocities, -yaw).reshape(*yaw.shape[:2], 66),
+        np.full_like(yaw, math.log(fps / REFERENCE_FPS)),
     )
-    return torch.cat(blocks, dim=-1).float()
-
-
-def _in_heading(
-    vectors: Float[Tensor, "clips poses joints 3"], sideways: Float[Tensor, "clips poses 2"]
-) -> Float[Tensor, "clips poses joints 3"]:
-    """Vectors with +x to the body's left and +z ahead."""
-    left_x, left_z = sideways[..., None, 0], sideways[..., None, 1]
-    x, y, z = vectors.unbind(-1)
-    return torch.stack((x * left_x + z * left_z, y, z * left_x - x * left_z), dim=-1)
+    return torch.from_numpy(np.concatenate(blocks, axis=-1).astype(np.float32))
 
 
 class EvaluatorNetwork(nn.Module):
