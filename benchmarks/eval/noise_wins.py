@@ -38,7 +38,7 @@ def main() -> None:
     arguments = parser.parse_args()
     store, fps, rng = Store.open(arguments.store), float(arguments.fps), np.random.default_rng(0)
     real, train = (real_motion(store, split).at(arguments.fps) for split in ("test", "train"))
-    slow = [low_pass(take[None], fps, 8.0)[0] for take in real.sequences]
+    slow = [low_pass(take, fps, 8.0) for take in real.sequences]
     sets = {"real": list(real.sequences), "low-passed at 8 Hz": slow}
     for metres in (0.0002, 0.0004, 0.001):
         noisy = [(take + metres * rng.standard_normal(take.shape)).astype(np.float32) for take in slow]

@@ -324,42 +324,38 @@ def upsample_as_vectors(samples: SampleSet, fps: Fraction, name: str) -> SampleS
 
 
 def low_pass(
-    positions: Float[np.ndarray, "*batch frames joints 3"], fps: float, cutoff_hz: float | Float64[np.ndarray, "*batch"]
-) -> Float[np.ndarray, "*batch frames joints 3"]:
-    """Zero-phase Butterworth low-pass along time, half amplitude at the cut-off, which is one for all or one per clip.
+    positions: Float[np.ndarray, "frames joints 3"], fps: float, cutoff_hz: float
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Zero-phase Butterworth low-pass along time, half amplitude at the cut-off.
 
     The gain 1 / (1 + (f / cut-off)^8) is that of a Butterworth filter of order 4 run forwards and backwards.
     """
-    cutoff = np.asarray(cutoff_hz, dtype=np.float64)[..., None]
-    return filtered(positions, lambda f: 1.0 / (1.0 + (f * fps / cutoff) ** 8))
+    return filtered(positions, lambda f: 1.0 / (1.0 + (f * fps / cutoff_hz) ** 8))
 
 
 def filtered(
-    positions: Float[np.ndarray, "*batch frames joints 3"],
+    positions: Float[np.ndarray, "frames joints 3"],
     gain: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.floating | np.complexfloating]],
     delay: float = 0.0,
-) -> Float[np.ndarray, "*batch frames joints 3"]:
-    """Motion with its spectrum along frames multiplied by gain(cycles per frame) [frequencies], or one gain per clip.
+) -> Float[np.ndarray, "frames joints 3"]:
+    """Motion with its spectrum along frames multiplied by gain(cycles per frame) [frequencies].
 
     The ends are continued by point reflection, so that constant motion and constant velocity pass unchanged. `delay`
     says how many frames the gain moves a motion, for the trend, which has no spectrum.
     """
-    num_frames = positions.shape[-3]
+    num_frames = len(positions)
     if num_frames < 2:
         return positions.copy()
     motion = positions.astype(np.float64)
-    first, last = motion[..., :1, :, :], motion[..., -1:, :, :]
-    padded = np.concatenate(
-        (2 * first - motion[..., :0:-1, :, :], motion, 2 * last - motion[..., -2::-1, :, :]), axis=-3
-    )
+    padded = np.concatenate((2 * motion[:1] - motion[:0:-1], motion, 2 * motion[-1:] - motion[-2::-1]))
     # After the reflection a step remains between both ends of the padded motion: remove the linear trend.
-    length = padded.shape[-3]
-    slope = (padded[..., -1:, :, :] - padded[..., :1, :, :]) / (length - 1)
-    line = padded[..., :1, :, :] + np.arange(length)[:, None, None] * slope
-    spectrum = scipy.fft.rfft(padded - line, axis=-3)
-    spectrum *= gain(scipy.fft.rfftfreq(length))[..., None, None]
-    smooth = scipy.fft.irfft(spectrum, n=length, axis=-3) + line + delay * slope
-    return np.asarray(smooth[..., num_frames - 1 : 2 * num_frames - 1, :, :], dtype=positions.dtype)
+    length = len(padded)
+    slope = (padded[-1] - padded[0]) / (length - 1)
+    line = padded[:1] + np.arange(length)[:, None, None] * slope
+    spectrum = scipy.fft.rfft(padded - line, axis=0)
+    spectrum *= gain(scipy.fft.rfftfreq(length))[:, None, None]
+    smooth = scipy.fft.irfft(spectrum, n=length, axis=0) + line + delay * slope
+    return np.asarray(smooth[num_frames - 1 : 2 * num_frames - 1], dtype=positions.dtype)
 
 
 COPIES_FPS = Fraction(20)

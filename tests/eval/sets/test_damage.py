@@ -59,7 +59,6 @@ def test_sliding_and_jitter_are_as_strong_as_stated() -> None:
 def test_low_pass_gain_on_sine_waves(frequency: float, gain: float) -> None:
     wave = np.sin(2 * np.pi * frequency * np.arange(600) / 100)[:, None, None] * np.ones((1, 2, 3))
     assert np.abs(low_pass(wave, 100.0, 5.0)[100:-100]).max() == pytest.approx(gain, abs=1e-3)
-    assert np.allclose(low_pass(np.stack([wave, wave]), 100.0, 5.0)[1], low_pass(wave, 100.0, 5.0), atol=1e-12)
 
 
 @pytest.fixture(scope="module")
