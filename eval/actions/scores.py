@@ -99,9 +99,6 @@ def score_actions(
             scores.add(f"multimodality_by_class{suffix}", spread)
         scores.resampled |= _resampled(references, draws, protocol)
     scores.remark_on_draws(len(draws), protocol.replications)
-    scores.sizes = {f"real ({name})": len(features) for name, features in references.items()}
-    counted = min(len(draws[0].labels), protocol.num_motions or len(draws[0].labels))
-    scores.sizes |= {"generated": counted, "draws": len(draws)}
     return scores
 
 

@@ -144,7 +144,7 @@ def score_text_motion(
                 scores.add(pair_score, PAIR_SCORES[pair_score](draw.texts[order], draw.motions[order]))
             rng = np.random.default_rng((seed, replication, DIVERSITY))
             scores.add("diversity", diversity(draw.motions[order], rng))
-        scores.sizes = {"real": len(reference), "generated": len(order), "draws": len(draws)}
+        scores.sizes = {"real": len(reference), "generated": len(order)}
         if repeated is not None:
             _add_multimodality(repeated, protocol, seed, scores)
         if real is not draws[0]:  # once: they cost more than everything else, and draw no pools or pairs

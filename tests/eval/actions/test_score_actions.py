@@ -50,7 +50,6 @@ def test_each_protocol(protocol) -> None:  # type: ignore[no-untyped-def]
     diversity = score_actions({}, draws[:1], many, seed=0).values["diversity" + suffix]
     assert diversity.value == pytest.approx(expected, rel=0.03)
     assert f"multimodality_by_class{suffix}" in found.values
-    assert found.sizes == {"real (train)": 300, "real (test)": 200, "generated": counted or 160, "draws": 2}
     assert all(find_metric(name) for name in found.values)
 
 
@@ -67,7 +66,6 @@ def test_actors_spread_is_a_variance_and_no_interval() -> None:
 def test_more_motions_than_a_protocol_counts_are_thinned_and_fewer_are_reported() -> None:
     few = replace(find_action_protocol("mdm"), replications=3, num_motions=40)
     more = score_actions({"test": recognised(90, 0).features}, [recognised(60, 1)], few, seed=0)
-    assert more.sizes["generated"] == 40
     assert len(set(more.replications["fid_test"])) == 3
     fewer = score_actions({}, [recognised(20, 1)], few, seed=0)
     assert any("counts 40 motions, here are 20" in remark for remark in fewer.remarks)
