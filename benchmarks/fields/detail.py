@@ -66,7 +66,7 @@ def fast_takes(real: RealMotion) -> list[Positions]:
 
 def smooth_rows(takes: list[Positions], reference: SampleSet, detail: Detail) -> dict[str, SampleSet]:
     """The takes without what lies above 10 Hz, plain and with detail, at the reference's framerate."""
-    slow = [low_pass(take[None], float(GRID), CUTOFF_HZ)[0] for take in takes]
+    slow = [low_pass(take, float(GRID), CUTOFF_HZ) for take in takes]
 
     def fields(those: Iterable[Positions], added: Detail | None) -> SampleSet:
         motions = (Motion.from_joints(take.astype(np.float32), GRID, SMPL22) for take in those)
