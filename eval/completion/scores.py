@@ -48,15 +48,6 @@ def mean_over_takes(by_take: Mapping[str, Sequence[float]]) -> Number:
     return with_takes(mean, quotients(weights @ totals, weights @ sizes))
 
 
-@dataclass(frozen=True)
-class Shown:
-    """The layout of a table: blocks by metric, with their titles, and further metrics of a block by title."""
-
-    columns: tuple[str, ...]
-    metrics: Mapping[str, str]
-    details: Mapping[str, Mapping[str, str]]
-
-
 @dataclass(frozen=True, eq=False)
 class Scope:
     """The clips that figures are averaged over: of one data set, or of several."""
@@ -72,14 +63,10 @@ class Scope:
         resampled = tuple(None if each is None else factor * each for each in mean.resampled)
         return Number(factor * mean.value, factor * mean.ci95, resampled)
 
-    def cells(self, row: str, metric: str, shown: Shown) -> dict[str, Cell]:
-        """A row's cells of a metric's block."""
-        cells = {}
-        for column in shown.columns:
-            further = shown.details.get(metric, {}).items()
-            details = {title: self.number(row, name, column).value for name, title in further}
-            cells[column] = cell_of(self.number(row, metric, column), details)
-        return cells
+    def cell(self, row: str, metric: str, column: str, details: Mapping[str, str]) -> Cell:
+        """A cell of a metric's block; `details` are the titles of further metrics."""
+        further = {title: self.number(row, name, column).value for name, title in details.items()}
+        return cell_of(self.number(row, metric, column), further)
 
 
 def shown_measure(metric: str) -> Measure:
@@ -106,8 +93,16 @@ def with_pools(scopes: Sequence[Scope]) -> list[Scope]:
     return [*pools, *scopes]
 
 
-def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: Shown) -> list[Block]:
-    """Blocks of every scope, with paired differences; rows are described in the first block of each form.
+def blocks_of(
+    scopes: Iterable[Scope],
+    completers: Sequence[Completer],
+    columns: tuple[str, ...],
+    metrics: Mapping[str, str],
+    details: Mapping[str, Mapping[str, str]],
+) -> list[Block]:
+    """Blocks of every scope and metric, with paired differences; rows are described in the first block of each form.
+
+    `metrics` are titles of blocks by metric, `details` titles of further metrics by the metric of a block.
 
     Trained rows that predict poses directly (form `plain`) have their own blocks; corrections and rows of unknown form
     share one. Rows that need no training are in both.
@@ -120,12 +115,15 @@ def blocks_of(scopes: Iterable[Scope], completers: Sequence[Completer], shown: S
         if any(each.form == "plain" for each in known):
             by_form[", plain answers"] = [each for each in known if not each.trained or each.form == "plain"]
         for form, rows in by_form.items():
-            for metric, title in shown.metrics.items():
-                notes = form not in noted and metric == next(iter(shown.metrics))
-                cells = {row.name: scope.cells(row.name, metric, shown) for row in rows}
+            for metric, title in metrics.items():
+                notes, further = form not in noted and metric == next(iter(metrics)), details.get(metric, {})
+                cells = {
+                    row.name: {column: scope.cell(row.name, metric, column, further) for column in columns}
+                    for row in rows
+                }
                 block = Block(
                     f"{scope.label}{form}: {title}",
-                    shown.columns,
+                    columns,
                     tuple(Row(row.name, "ours", cells[row.name], row.note * notes) for row in rows),
                     lower_is_better=find_metric(metric).higher_is_better is False,
                     note=scope.note,

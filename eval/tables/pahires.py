@@ -13,7 +13,7 @@ from eval.completion import interpolation, windows
 from eval.completion.data_sets import DataSet, NoTakesError, data_sets_of, open_clips, split_remark
 from eval.completion.encoders import HOLD, INTERPOLATION, Completer, completer_of, trained_completers
 from eval.completion.interpolation import CLIP_FRAMES, scale_label
-from eval.completion.scores import Scope, Scores, Shown, blocks_of, shown_measure, with_pools
+from eval.completion.scores import Scope, Scores, blocks_of, shown_measure, with_pools
 from eval.metrics.registry import find_metric
 from eval.report.results import Block, Cell, Row
 from eval.tables.table import SOURCES, Content, EvalConfig, Reported, Table, mean_cells, printed_block, reported_figures
@@ -131,7 +131,7 @@ def interpolation_table(scales: Sequence[Fraction], table: str, config: EvalConf
     labels = tuple(map(scale_label, scales))
     further = map(find_metric, ("rotation_angle_error", "velocity_error", "jerk_error"))
     titles = {metric.name: metric.title + (f" ({metric.unit})" if metric.unit else "") for metric in further}
-    blocks = blocks_of(scopes, completers, Shown(labels, METRICS, {"mpjpe_global": titles}))
+    blocks = blocks_of(scopes, completers, labels, METRICS, {"mpjpe_global": titles})
     return replace(content, blocks=(*blocks, *_printed(table, labels)))
 
 
@@ -281,7 +281,7 @@ def window_table(table: WindowTable, config: EvalConfig, store: Store) -> Conten
     scopes, content = _scored(table.caption, clips_of, data_sets, completers, config)
     columns = tuple(question.label for question in table.questions)
     printed = _printed_inbetweening(columns) if table is INBETWEENING else []
-    blocks = blocks_of(scopes, completers, Shown(columns, table.metrics, table.details))
+    blocks = blocks_of(scopes, completers, columns, table.metrics, table.details)
     return replace(content, blocks=(*blocks, *printed))
 
 
