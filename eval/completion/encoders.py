@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from eval.sets.sets import Missing
-from motionkit.core.errors import DamagedFileError, MotionkitError
+from motionkit.core.errors import DamagedFileError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion, two_columns
 from motionkit.core.shapes import Float64
 from motionkit.edit.encoders import installed_encoders
@@ -101,12 +101,8 @@ def trained_completers(
     requested = {name for name, _ in more}
     for name, loader in installed_encoders(task).items():
         if run is not None and loader.complete_in(run):
-            try:
+            with missing.skipping(loader.title, raising=(DamagedFileError,)):
                 completers.append(completer_of(name, run))
-            except DamagedFileError:
-                raise
-            except MotionkitError as error:
-                missing.add(f"{loader.title}: {error}")
         elif run is not None and name not in requested:
             missing.add(f"{loader.title}: not trained ({loader.train_command(run)})")
     for name, folder in more:

@@ -201,6 +201,9 @@ def check_sample_names(samples: Iterable[str], systems: Iterable[str] = ()) -> N
         names |= own
 
 
+Errors = tuple[type[Exception], ...]
+
+
 class Missing:
     """What a table lacks: a line for each, in order, without repetitions."""
 
@@ -212,10 +215,12 @@ class Missing:
         self._lines |= dict.fromkeys(lines)
 
     @contextmanager
-    def skipping(self, label: str, errors: tuple[type[Exception], ...] = (MotionkitError,)) -> Iterator[None]:
-        """Leave out what raises one of these errors, as "label: error"."""
+    def skipping(self, label: str, errors: Errors = (MotionkitError,), raising: Errors = ()) -> Iterator[None]:
+        """Leave out what raises one of these errors, as "label: error"; errors in `raising` are raised all the same."""
         try:
             yield
+        except raising:
+            raise
         except errors as error:
             self.add(f"{label}: {error}")
 

@@ -20,7 +20,7 @@ from eval.sets import motions
 from eval.sets.motions import NoRealMotionError, RealMotion, Window
 from eval.sets.sets import REAL, TRAINING_TAKES, Missing, RowId, SampleSet, Variant, check_sample_names
 from eval.tables.table import EvalConfig, name_and_fps
-from motionkit.core.errors import DamagedFileError, MotionkitError, UsageError, counted
+from motionkit.core.errors import DamagedFileError, UsageError, counted
 from motionkit.core.progress import task, tracked
 from motionkit.edit.encoders import installed_encoders
 from motionkit.fields.detail import detailed
@@ -106,7 +106,7 @@ def trained_models(run: Path | None, missing: Missing) -> dict[str, TrainedModel
     if run is None:
         return models
     for loader in installed_models().values():
-        try:
+        with missing.skipping(loader.title, raising=(DamagedFileError,)):
             if not run.is_dir():
                 raise RunError(f"there is no run {str(run)!r} ({loader.train_command(run)})")
             if not loader.begun_in(run):
@@ -115,10 +115,6 @@ def trained_models(run: Path | None, missing: Missing) -> dict[str, TrainedModel
             if (name := model.loaded.name) in models:
                 raise RunError(f"another model of the run is called {name!r} too")
             models[name] = model
-        except DamagedFileError:
-            raise
-        except MotionkitError as error:
-            missing.add(f"{loader.title}: {error}")
     return models
 
 
