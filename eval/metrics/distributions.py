@@ -111,14 +111,8 @@ def fid_infinity(real: Real, generated: Generated, rng: np.random.Generator) -> 
     if largest < (least := 4 * (features + 1)):
         raise ValueError(f"{largest} samples are too few to extrapolate from: {features} features need {least}")
     sizes = np.unique(np.linspace(largest / 4, largest, 8).astype(np.int64)).tolist()
-    orders = [rng.permutation(len(each))[:largest] for each in (real, generated)]
-    pairs = [
-        [fit_gaussian(each[order[:size]]) for each, order in zip((real, generated), orders, strict=True)]
-        for size in sizes
-    ]
-    means, other_means = np.array([[gaussian.mean for gaussian in pair] for pair in pairs]).swapaxes(0, 1)
-    covariances, other_covariances = np.array([[each.covariance for each in pair] for pair in pairs]).swapaxes(0, 1)
-    values = frechet_distances(means, factors_of(covariances), other_means, other_covariances)
+    shuffled, others = (each[rng.permutation(len(each))[:largest]] for each in (real, generated))
+    values = [frechet_distance(fit_gaussian(shuffled[:size]), fit_gaussian(others[:size])) for size in sizes]
     _, limit = np.polyfit(1.0 / np.array(sizes), values, 1)
     return float(limit)
 
