@@ -106,7 +106,7 @@ def mbench_jitter(positions: Positions, fps: float, floor: float = 0.0) -> float
     """
     motion = checked_motion(positions, floor)
     each = (motion, motion - motion[:, :1])
-    return float(sum(_lengths(np.diff(one, n=2, axis=0)).mean() for one in each))
+    return float(sum(np.linalg.norm(np.diff(one, n=2, axis=0), axis=-1).mean() for one in each))
 
 
 def mbench_foot_floating(positions: Positions, fps: float, floor: float = 0.0) -> float:
@@ -122,7 +122,7 @@ def mbench_foot_floating(positions: Positions, fps: float, floor: float = 0.0) -
     motion = checked_motion(positions, floor)
     root, toes = motion[:, :1], motion[:, TOES]
     touches = _mbench_contact(toes)
-    root_step, relative, step = (_lengths(_mbench_steps(each)) for each in (root, toes - root, toes))
+    root_step, relative, step = (np.linalg.norm(_mbench_steps(each), axis=-1) for each in (root, toes - root, toes))
     rate = relative / (root_step + SMALL)
     root_moves, moves = root_step[:, 0] >= MBENCH_REST, step > MBENCH_STILL
     hangs = moves & ((rate < MBENCH_SLOW) | (rate > MBENCH_FAST)) & root_moves[:, None]
@@ -143,7 +143,7 @@ def kimodo_foot_skate(positions: Positions, fps: float, floor: float = 0.0) -> f
     Source: Kimodo (NVIDIA 2026), nv-tlabs/kimodo@7330e7e, kimodo/metrics/foot_skate.py, FootSkateFromHeight.
     """
     toes = checked_motion(positions, floor)[:, TOES]
-    speed = _lengths(np.diff(toes, axis=0)) * checked_fps(fps)
+    speed = np.linalg.norm(np.diff(toes, axis=0), axis=-1) * checked_fps(fps)
     low = toes[:-1, :, 1] < KIMODO_HEIGHT
     return float((speed * low).sum() / (low.sum() + SMALL))
 
@@ -155,7 +155,7 @@ def kimodo_skate_ratio(positions: Positions, fps: float, floor: float = 0.0) -> 
     model (0.15 m/s, 10 cm), which joint positions don't hold.
     """
     toes = checked_motion(positions, floor)[:, TOES]
-    speed = _lengths(np.diff(toes, axis=0)) * checked_fps(fps)
+    speed = np.linalg.norm(np.diff(toes, axis=0), axis=-1) * checked_fps(fps)
     low = _low_twice(toes, KIMODO_HEIGHT)
     return float((low & (speed > KIMODO_SPEED)).sum() / (low.sum() + SMALL))
 
@@ -203,7 +203,7 @@ def checked_motion(
 
 def _steps(positions: Positions) -> Float64[np.ndarray, "steps 4"]:
     """Length of every step of ankles and toes, metres."""
-    return _lengths(np.diff(checked_motion(positions)[:, FEET], axis=0))
+    return np.asarray(np.linalg.norm(np.diff(checked_motion(positions)[:, FEET], axis=0), axis=-1))
 
 
 def _mbench_steps(joints: Float64[np.ndarray, "frames joints 3"]) -> Float64[np.ndarray, "frames joints 3"]:
@@ -212,11 +212,8 @@ def _mbench_steps(joints: Float64[np.ndarray, "frames joints 3"]) -> Float64[np.
 
 
 def _mbench_contact(toes: Float64[np.ndarray, "frames 2 3"]) -> Bool[np.ndarray, "frames 2"]:
-    return np.asarray((_lengths(_mbench_steps(toes)) < MBENCH_STEP) | (toes[..., 1] < MBENCH_HEIGHT))
-
-
-def _lengths(steps: Float64[np.ndarray, "*steps 3"]) -> Float64[np.ndarray, "*steps"]:
-    return np.asarray(np.linalg.norm(steps, axis=-1))
+    is_slow = np.linalg.norm(_mbench_steps(toes), axis=-1) < MBENCH_STEP
+    return np.asarray(is_slow | (toes[..., 1] < MBENCH_HEIGHT))
 
 
 def _turns(path: Float64[np.ndarray, "frames 3"]) -> int:

@@ -312,19 +312,15 @@ def best_in_column(block: Block, blocks: Iterable[Block]) -> dict[str, frozenset
 
 def environment() -> dict[str, Any]:
     """Versions, processors, time, the command, and the commit in a git checkout."""
+    # Absolute paths are reduced to file names.
+    words = [re.sub(r"(^|=)/(?:[^/]+/)*", r"\1", word) for word in sys.argv[1:]]
     return {
-        "command": _command(sys.argv),
+        "command": shlex.join([Path(sys.argv[0]).name, *words]),
         "versions": versions(),
         "processors": os.cpu_count(),
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": commit(),
     }
-
-
-def _command(words: list[str]) -> str:
-    """A command line with absolute paths reduced to file names."""
-    program = Path(words[0]).name if words else ""
-    return shlex.join([program, *(re.sub(r"(^|=)/(?:[^/]+/)*", r"\1", word) for word in words[1:])])
 
 
 def provenance(store: Path | None = None, runs: Iterable[Path] = ()) -> dict[str, Any]:
@@ -472,8 +468,7 @@ def to_html(results: Sequence[Result], cards: Sequence[str] = (), figures: Mappi
 
     `cards` are articles, as HTML, in front; `figures` are placed in the results with these indices.
     """
-    page = _environment().get_template("report.html.j2")
-    return page.render(results=results, cards=cards, figures=figures)
+    return card("report.html.j2", results=results, cards=cards, figures=figures)
 
 
 def card(template: str, **values: Any) -> str:

@@ -200,8 +200,8 @@ def upright(motions: Sequence[SampleMotion], up: str) -> tuple[list[SampleMotion
     return turned, body_frame.log_lines(up)[0]
 
 
-def padding_remark(motions: Sequence[SampleMotion]) -> tuple[str, ...]:
-    """A remark if motions end in a pose that is frozen for half a second or more, which may be padding."""
+def padding_remark(motions: Sequence[SampleMotion]) -> str:
+    """A remark if motions end in a pose that is frozen for half a second or more, which may be padding; else empty."""
     frozen = []
     for motion in motions:
         steps = np.abs(np.diff(motion.positions - motion.positions[:, :1], axis=0)).max(axis=(1, 2))
@@ -210,10 +210,10 @@ def padding_remark(motions: Sequence[SampleMotion]) -> tuple[str, ...]:
         if seconds >= PADDED_SECONDS:
             frozen.append(seconds)
     if not frozen:
-        return ()
+        return ""
     return (
         f"{counted(len(frozen), 'motion')} with a frozen pose at the end ({np.median(frozen):.1f} s in the median): if "
-        "that is padding, state their num_frames in a CSV beside them",
+        "that is padding, state their num_frames in a CSV beside them"
     )
 
 
@@ -333,8 +333,8 @@ def read_sample_folder(
     if not motions:
         raise SampleFolderError(f"--samples {name}: no motion is a body: {left_out_line(left_out, 0)}")
     padded = f"of {counted(reader.num_trimmed, 'motion')} the last frames, all zeros, were dropped"
-    remarks = [*listing.remarks, *([padded] if reader.num_trimmed else []), *([remark] if remark else [])]
-    return SampleFolder.of(name, motions, left_out, (*remarks, *padding_remark(motions)))
+    remarks = (*listing.remarks, padded if reader.num_trimmed else "", remark, padding_remark(motions))
+    return SampleFolder.of(name, motions, left_out, list(filter(None, remarks)))
 
 
 @dataclass(frozen=True)

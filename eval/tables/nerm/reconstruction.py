@@ -5,7 +5,6 @@ A row of an ablation is a variant of `motionkit ablate`; its numbers are means o
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
 from fractions import Fraction
 from functools import partial
 from typing import Any
@@ -94,27 +93,20 @@ def separate_windows(windows: Windows) -> Int64[np.ndarray, "chosen"]:
     return np.array(chosen, dtype=np.int64)
 
 
-@dataclass(frozen=True)
-class WindowErrors:
-    """Root-aligned and global MPJPE in millimetres; MRE and mean distance of `native` vectors in their raw units."""
-
-    aligned_mm: float
-    global_mm: float
-    mre: float
-    vector_distance: float
-    seconds: float
+WindowErrors = tuple[float, float, float, float, float]
+"""Root-aligned and global MPJPE in millimetres; MRE and mean distance of `native` vectors in raw units; seconds."""
 
 
 def window_errors(decoded: Positions, truth: Positions, fps: Fraction, seconds: float) -> WindowErrors:
     """The errors of one window of some seconds, decoded at `fps`; both in the window's frame, metres."""
-    positions = 1000.0 * mpjpe_root_aligned(decoded, truth), 1000.0 * mpjpe_global(decoded, truth)
+    aligned, whole = (1000.0 * error(decoded, truth) for error in (mpjpe_root_aligned, mpjpe_global))
     pair = vectors(decoded, "smpl22", fps), vectors(truth, "smpl22", fps)
-    return WindowErrors(*positions, mre(*pair), mean_vector_distance(*pair), seconds)
+    return aligned, whole, mre(*pair), mean_vector_distance(*pair), seconds
 
 
 def error_cells(windows: Sequence[WindowErrors]) -> dict[str, Cell]:
     """MPJPE in millimetres and MRE by metric, windows weighing by duration."""
-    *errors, seconds = np.array([astuple(window) for window in windows]).T
+    *errors, seconds = np.array(windows).T
     aligned, whole, vector, distance = (float(np.average(each, weights=seconds)) for each in errors)
     return {
         "mpjpe": Cell(aligned, None, {GLOBAL: whole, COUNT: float(len(windows))}),
