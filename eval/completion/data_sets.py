@@ -6,8 +6,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.sets.motions import of_split_and
-from motionkit.core.errors import MotionkitError, UsageError
+from eval.sets.motions import NoRealMotionError, of_split_and
+from motionkit.core.errors import UsageError
 from motionkit.core.kinematics import closest_rotations, matrix_to_quaternion
 from motionkit.core.shapes import Float32, Int64
 from motionkit.data.rotation_sequences import open_rotation_sequences
@@ -16,10 +16,6 @@ from motionkit.store.reader import Store
 
 Positions = Float32[np.ndarray, "clips frames joints 3"]
 Vectors = Float32[np.ndarray, "clips frames numbers"]
-
-
-class NoTakesError(MotionkitError):
-    """A data set without takes for a table."""
 
 
 @dataclass(frozen=True)
@@ -106,22 +102,22 @@ def open_clips(
 ) -> TrueClips:
     """Clips of `num_frames` frames from every `every`-th frame on, of the takes of one split ("all": any).
 
-    Raises `NoTakesError` where the data set has no take of that split, framerate and length, and as `open_cache`.
+    Raises `NoRealMotionError` where the data set has no take of that split, framerate and length, and as `open_cache`.
     """
     condition = of_split_and(split, where)
     try:
         takes = open_rotation_sequences(store, data_set.fps, where=condition)
     except UsageError as error:  # nothing of any data set
-        raise NoTakesError(str(error)) from None
+        raise NoRealMotionError(str(error)) from None
     belongs = data_set.holds(store, takes.sequence_index)
     long_enough = belongs & (takes.num_frames >= num_frames)
     if not data_set.holds(store, store.select(None)).any():
         condition = f"{data_set.column} = {data_set.value!r}"
-        raise NoTakesError(f"the store has none of it (motionkit ingest; {condition} is what is looked for)")
+        raise NoRealMotionError(f"the store has none of it (motionkit ingest; {condition} is what is looked for)")
     if not long_enough.any():
         of_split = ("" if split == "all" else f" of split {split!r}") + (f" where {where}" if where else "")
         rate, few = f"a whole multiple of {float(data_set.fps):g} fps", f"{int(belongs.sum())} are shorter"
-        raise NoTakesError(f"no take{of_split} has {rate} and then {num_frames} frames ({few})")
+        raise NoRealMotionError(f"no take{of_split} has {rate} and then {num_frames} frames ({few})")
     cache = open_cache(store, where=condition)
     chosen = np.flatnonzero(long_enough)
     counts = (takes.num_frames[chosen] - num_frames) // every + 1

@@ -11,9 +11,10 @@ from fractions import Fraction
 
 import numpy as np
 
-from eval.completion.data_sets import DataSet, NoTakesError, local_rotations, open_clips, split_remark
+from eval.completion.data_sets import DataSet, local_rotations, open_clips, split_remark
 from eval.completion.encoders import Completer, query_many
 from eval.completion.scores import Scores, add_clips
+from eval.sets.motions import NoRealMotionError
 from motionkit.core import kinematics
 from motionkit.core.moments import stream
 from motionkit.core.motion import Motion
@@ -102,8 +103,8 @@ class PoseWindows:
 def lafan1_windows(store: Store) -> PoseWindows:
     """The benchmark's windows out of a store that holds LaFAN1's BVH files: subjects 1–4 train, subject 5 tests.
 
-    The store's split is ignored. The first training window by name gives the bones of all poses. Raises `NoTakesError`
-    where either set is empty.
+    The store's split is ignored. The first training window by name gives the bones of all poses. Raises
+    `NoRealMotionError` where either set is empty.
     """
 
     def takes(subjects: tuple[str, ...], num_frames: int) -> list[Motion]:
@@ -111,7 +112,7 @@ def lafan1_windows(store: Store) -> PoseWindows:
         where = conjunction(LAFAN1, f"lower(subject) IN ({names})", f"num_frames > {num_frames}")
         paths = store.columns("source_path")["source_path"].loc[store.select(where)].sort_values()
         if paths.empty:
-            raise NoTakesError(
+            raise NoRealMotionError(
                 f"the store has no take of LaFAN1's {' or '.join(subjects)} at 30 fps with more than {num_frames} "
                 "frames (motionkit ingest FOLDER-OF-ITS-BVH)"
             )
@@ -153,8 +154,8 @@ def global_poses(
 def data_set_windows(store: Store, data_set: DataSet, split: str, where: str | None) -> PoseWindows:
     """The same windows of any data set in the 22-joint layout, its rotations those of rotation rows.
 
-    Statistics are of the training split's windows, of the compared ones where there is none. Raises `NoTakesError`
-    where the compared split has no window.
+    Statistics are of the training split's windows, of the compared ones where there is none. Raises
+    `NoRealMotionError` where the compared split has no window.
     """
     # The benchmark needs a frame after each window (strict i + window < T): equivalent to clips of one frame more.
     train_size, test_size = (TRAIN_WINDOW_FRAMES + 1, TRAIN_STEP_FRAMES), (TEST_WINDOW_FRAMES + 1, TEST_STEP_FRAMES)
@@ -162,7 +163,7 @@ def data_set_windows(store: Store, data_set: DataSet, split: str, where: str | N
     remark = f"{len(test.takes):,} windows of {len(set(test.takes)):,} takes; {split_remark(store, test, split)}"
     try:
         train = open_clips(store, data_set, "train", None, *train_size)
-    except NoTakesError:
+    except NoRealMotionError:
         train = open_clips(store, data_set, split, where, *train_size)
         remark += " There is no training split: statistics are those of the compared takes."
 

@@ -10,12 +10,13 @@ from functools import partial
 from typing import get_args
 
 from eval.completion import interpolation, windows
-from eval.completion.data_sets import DataSet, NoTakesError, data_sets_of, open_clips, split_remark
+from eval.completion.data_sets import DataSet, data_sets_of, open_clips, split_remark
 from eval.completion.encoders import HOLD, INTERPOLATION, Completer, completer_of, trained_completers
 from eval.completion.interpolation import CLIP_FRAMES, scale_label
 from eval.completion.scores import Scope, Scores, blocks_of, shown_measure, with_pools
 from eval.metrics.registry import find_metric
 from eval.report.results import Block, Cell, Row
+from eval.sets.motions import NoRealMotionError
 from eval.tables.table import SOURCES, Content, EvalConfig, Reported, Table, mean_cells, printed_block, reported_figures
 from motionkit.core.errors import MotionkitError
 from motionkit.core.progress import task, tracked
@@ -53,14 +54,14 @@ def _scored(
 ) -> tuple[list[Scope], Content]:
     """Every row's scores on every data set that has takes, and a content without blocks; rows that fail are missing.
 
-    Raises `NoTakesError` if no data set has takes.
+    Raises `NoRealMotionError` if no data set has takes.
     """
     remarks, without, scopes = [], [], []
     for data_set in data_sets:
         try:
             with task(config.on_progress, f"clips of {data_set.name}"):
                 label, remark, measure = clips_of(data_set)
-        except NoTakesError as error:
+        except NoRealMotionError as error:
             without.append(f"{data_set.label}: {error}")
             continue
         rows: dict[str, Scores] = {}
@@ -70,7 +71,7 @@ def _scored(
         scopes.append(Scope(label, data_set.fps, rows))
         remarks.append(remark)
     if not scopes:
-        raise NoTakesError("; ".join(without))
+        raise NoRealMotionError("; ".join(without))
     config.missing.add(*without)
     provenance = {
         "weights_sha256": {each.name: each.weights_sha256 for each in completers if each.trained},
@@ -96,7 +97,7 @@ def _interpolated(
         remark = f"{data_set.label}: {len(clips.takes):,} clips of {num_takes:,} takes"
         try:
             training = open_clips(store, data_set, "train", None, CLIP_FRAMES, CLIP_FRAMES)
-        except NoTakesError:
+        except NoRealMotionError:
             training, remark = clips, f"{remark}, whose deviations stand for those of training clips"
         remark += (
             f"; left out: {clips.num_short:,} shorter than {clips.num_frames} frames, {clips.num_other_fps:,} at other "
@@ -123,7 +124,7 @@ def _interpolated(
 def interpolation_table(scales: Sequence[Fraction], table: str, config: EvalConfig, store: Store) -> Content:
     """All rows of all data sets of the store, and which are not available.
 
-    Raises `NoTakesError` if no data set has takes, and `UsageError` for an unknown encoder.
+    Raises `NoRealMotionError` if no data set has takes, and `UsageError` for an unknown encoder.
     """
     trained = trained_completers("interpolation", config.run, config.encoders, config.missing)
     completers = [*INTERPOLATION, *trained]
@@ -151,7 +152,7 @@ def ablation_table(ablation: Ablation, config: EvalConfig, store: Store) -> Cont
     completers = [replace(completer_of(PAHIRES.paper, run.path), name=run.path.name) for run in folders]
     data_sets = [each for each in data_sets_of(store) if each.fps in rates]
     if not data_sets:
-        raise NoTakesError(f"no data set stands at the framerates of training: {', '.join(map(str, rates))}")
+        raise NoRealMotionError(f"no data set stands at the framerates of training: {', '.join(map(str, rates))}")
     scopes, content = _interpolated(store, data_sets, (ABLATED_SCALE,), [*UNTRAINED, *completers], config)
     steps = sorted({f"{each['schedule']['steps']:,} steps, form {each['answer']['form']}" for each in training})
     blocks = [_ablated(scope, metric, runs) for scope in scopes for metric in ABLATED_METRICS]
@@ -264,7 +265,7 @@ EXTRAPOLATION = WindowTable(
 def window_table(table: WindowTable, config: EvalConfig, store: Store) -> Content:
     """Every row of every data set at 30 fps; `--fps` is ignored.
 
-    Raises `NoTakesError` if the store has no windows, and `UsageError` for an unknown encoder.
+    Raises `NoRealMotionError` if the store has no windows, and `UsageError` for an unknown encoder.
     """
     trained = trained_completers(table.task, config.run, config.encoders, config.missing)
     completers = [*table.rows, *trained]

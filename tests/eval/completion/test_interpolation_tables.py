@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from eval.completion.data_sets import NoTakesError, data_sets_of, local_rotations, open_clips
+from eval.completion.data_sets import data_sets_of, local_rotations, open_clips
 from eval.completion.encoders import CUBIC, HOLD, LINEAR, Completer
 from eval.completion.interpolation import (
     CLIP_FRAMES,
@@ -20,6 +20,7 @@ from eval.completion.interpolation import (
 )
 from eval.completion.scores import mean_over_takes
 from eval.report.results import to_markdown
+from eval.sets.motions import NoRealMotionError
 from eval.tables import pahires
 from eval.tables.pahires import TABLE_1, TABLE_2, TABLE_EXTRAPOLATION
 from eval.tables.pahires import TABLE_3 as INBETWEENING
@@ -76,7 +77,7 @@ def test_clips_are_real_frames_of_whole_multiples(store: Path) -> None:
     np.testing.assert_allclose(positions[2], take(1, 160, 30, "").joint_positions[76:152], atol=2e-3)
     turned = np.abs(np.sum(local_rotations(vectors[0]) * np.asarray(true.local_rotations)[:152:2], axis=-1))
     assert turned.min() > 1 - 1e-4
-    with pytest.raises(NoTakesError, match="a whole multiple of 30 fps and then 500 frames"):
+    with pytest.raises(NoRealMotionError, match="a whole multiple of 30 fps and then 500 frames"):
         open_clips(opened, next(each for each in data_sets_of(opened) if each.name == "studio"), "test", None, 500, 76)
 
 
@@ -186,7 +187,7 @@ def test_tables_over_windows(store: Path, tmp_path: Path) -> None:
 def test_what_cannot_be_asked_is_reported_in_a_line(store: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="the condition"):
         TABLE_1.build(request(store, tmp_path, where="no_such_column = 1"))
-    with pytest.raises(NoTakesError, match=r"no chosen sequence of .* a whole multiple of 7 fps"):
+    with pytest.raises(NoRealMotionError, match=r"no chosen sequence of .* a whole multiple of 7 fps"):
         TABLE_1.build(request(store, tmp_path, fps=(Fraction(7),)))
     with pytest.raises(UsageError, match="squid"):
         TABLE_1.build(request(store, tmp_path, encoders=(("squid", tmp_path / "runs" / "nano"),)))
