@@ -6,17 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import cycle, groupby
+from itertools import cycle
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from eval.sets.motions import RealMotion, each_upsampled
+from eval.sets.motions import RealMotion, at_framerate
 from eval.sets.sets import Ragged, SampleSet
 from motionkit.core.errors import FormatError, MotionkitError, counted
 from motionkit.core.shapes import Float32
-from motionkit.fields.resample import resample_positions
 
 
 class SampleFolderError(MotionkitError):
@@ -119,14 +118,8 @@ class SampleFolder:
         samples = SampleSet(self.name, fps, self.sequences, *texts, groups=self.groups)
         if all(own == fps for own in self.fps):
             return samples
-        resampled: list[Float32[np.ndarray, "_frames 22 3"]] = []
-        for own, places in groupby(range(self.num_motions), key=self.fps.__getitem__):
-            neighbours = [self.sequences[place] for place in places]
-            if own < fps:
-                resampled += each_upsampled(neighbours, own, fps)
-            else:
-                resampled += [resample_positions(sequence, own, fps) for sequence in neighbours]
-        return samples.with_positions(resampled)
+        pairs = zip(self.sequences, self.fps, strict=True)
+        return samples.with_positions([at_framerate(sequence, own, fps) for sequence, own in pairs])
 
     def describe(self) -> str:
         """A summary: number, duration and framerates of motions, and remarks."""

@@ -1,6 +1,6 @@
 """Motions as sample sets: real at a framerate, generated for them, planted, upsampled, low-passed; and copies."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import lru_cache
@@ -15,7 +15,7 @@ from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Motion, mirror_positions
 from motionkit.core.shapes import Float, Float32, Float64, Int64
 from motionkit.core.skeleton import SMPL22, STANDARD_SKELETONS
-from motionkit.core.timegrid import TimeGrid, num_frames_within
+from motionkit.core.timegrid import TimeGrid
 from motionkit.features import humanml3d
 from motionkit.features.field import heading, to_window
 from motionkit.features.humanml3d import at_origin, facing_forward, on_floor
@@ -276,7 +276,8 @@ def upsampled(samples: SampleSet, fps: Fraction, name: str) -> SampleSet:
     Joint rotations (from inverse kinematics) on great arcs, the root on straight lines, positions by forward
     kinematics. Raises `ValueError` if `fps` is below the set's.
     """
-    return samples.with_positions(list(each_upsampled(list(samples.sequences), samples.fps, fps)), name=name, fps=fps)
+    sequences = [upsampled_positions(sequence, samples.fps, fps) for sequence in samples.sequences]
+    return samples.with_positions(sequences, name=name, fps=fps)
 
 
 def upsampled_positions(positions: Joints, fps_from: Fraction, fps_to: Fraction) -> Joints:
@@ -284,25 +285,9 @@ def upsampled_positions(positions: Joints, fps_from: Fraction, fps_to: Fraction)
     return upsample(Motion(positions, SMPL22, TimeGrid(fps_from, len(positions))), fps_to).joint_positions
 
 
-SEQUENCES_AT_ONCE = 16
-# Framerates whose common instants are further apart than this, in frames, are not worth batching.
-MOST_PADDING = 16
-
-
-def each_upsampled(sequences: Sequence[Joints], fps_from: Fraction, fps_to: Fraction) -> Iterator[Joints]:
-    """As `upsampled_positions`, for several sequences of one framerate at a time, which is faster.
-
-    They are concatenated, each starting at an instant of both grids: SLERP is local to two neighbouring poses.
-    """
-    ratio = fps_to / fps_from
-    at_once, step = (SEQUENCES_AT_ONCE, ratio.denominator) if ratio.denominator <= MOST_PADDING else (1, 1)
-    for start in range(0, len(sequences), at_once):
-        some = sequences[start : start + at_once]
-        padded = [np.pad(each, ((0, -len(each) % step), (0, 0), (0, 0)), mode="edge") for each in some]
-        joined, first = upsampled_positions(np.concatenate(padded), fps_from, fps_to), 0
-        for sequence, own in zip(some, padded, strict=True):
-            yield joined[first : first + num_frames_within((len(sequence) - 1) / float(fps_from), fps_to)]
-            first += int(len(own) * ratio)
+def at_framerate(positions: Joints, fps_from: Fraction, fps_to: Fraction) -> Joints:
+    """Joint positions of the 22-joint layout at another framerate: upsampled by SLERP, or anti-aliased."""
+    return (upsampled_positions if fps_from < fps_to else resample_positions)(positions, fps_from, fps_to)
 
 
 def upsample_as_vectors(samples: SampleSet, fps: Fraction, name: str) -> SampleSet:

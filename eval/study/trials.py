@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from eval.sample_folder import SampleFolder
-from eval.sets.motions import RealMotion, is_unconditional, upsampled_positions
+from eval.sets.motions import RealMotion, at_framerate, is_unconditional
 from eval.sets.sets import Missing, middle
 from motionkit.core.errors import MotionkitError, UsageError, counted, shown
 from motionkit.core.files import read_json, write_json, write_whole
@@ -22,7 +22,6 @@ from motionkit.core.skeleton import SMPL22
 from motionkit.core.timegrid import parse_fps
 from motionkit.fields.contact.planted import planted
 from motionkit.fields.motion_field import to_motion
-from motionkit.fields.resample import resample_positions
 from motionkit.generate.models import GenerationRequest, GenerativeModel
 from motionkit.viz.player import Panel, data_of, player
 
@@ -61,8 +60,7 @@ def of_motions(motions: SampleFolder | RealMotion) -> System:
     """Samples, upsampled by SLERP or anti-aliased as in tables; or real motion, up to the framerate of its capture."""
 
     def positions(index: int, fps: Fraction) -> Positions:
-        own, frames = motions.fps[index], motions.sequences[index]
-        return upsampled_positions(frames, own, fps) if own < fps else resample_positions(frames, own, fps)
+        return at_framerate(motions.sequences[index], motions.fps[index], fps)
 
     lengths = zip(motions.sequences.num_frames, motions.fps, strict=True)
     seconds = tuple(float(int(frames) / fps) for frames, fps in lengths)

@@ -12,11 +12,9 @@ from eval.sets.motions import (
     NoRealMotionError,
     RealMotion,
     Window,
-    each_upsampled,
     generate_fields,
     sample_fields,
     upsampled,
-    upsampled_positions,
     windows_of,
 )
 from eval.sets.sets import Ragged, SampleSet, sample_set, size_remark
@@ -123,15 +121,6 @@ def test_slerp_keeps_every_known_pose() -> None:
     assert (high.fps, high.name, high.sequence_ids) == (60, "up", low.sequence_ids)
     for before, after in zip(low.sequences, high.sequences, strict=True):
         np.testing.assert_allclose(after[::3], before, atol=1e-5)
-
-
-@pytest.mark.parametrize(("fps_from", "fps_to"), [("20", "60"), ("20", "50"), ("25/2", "20"), ("20", "30000/1001")])
-def test_upsampling_many_at_a_time_is_upsampling_each(fps_from: str, fps_to: str) -> None:
-    rng, take = np.random.default_rng(0), walkers(20, 8.0).sequences[0]
-    sequences = [take[start : start + length] for start, length in rng.integers(1, 60, (12, 2)).tolist()]
-    slow, fast = Fraction(fps_from), Fraction(fps_to)
-    for found, sequence in zip(each_upsampled(sequences, slow, fast), sequences, strict=True):
-        np.testing.assert_allclose(found, upsampled_positions(sequence, slow, fast), rtol=0, atol=1e-6)
 
 
 RNG = np.random.default_rng(0)
