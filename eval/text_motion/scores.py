@@ -32,29 +32,24 @@ SUFFIXES = {
 class TextMotionPairs:
     """Embeddings of texts and of the motions that belong to them, row by row, in one space.
 
-    `takes` name the real take of each pair, which intervals resample; without them each row is a take of its own.
+    `takes` name the real take of each pair, which intervals resample.
     """
 
     texts: Float[np.ndarray, "pairs numbers"]
     motions: Float[np.ndarray, "pairs numbers"]
-    takes: tuple[str, ...] = ()
+    takes: tuple[str, ...]
 
     def select(self, rows: Int64[np.ndarray, "chosen"]) -> "TextMotionPairs":
         """Some of the pairs, in the order of `rows`."""
-        takes = tuple(self.takes[row] for row in rows.tolist()) if self.takes else ()
+        takes = tuple(self.takes[row] for row in rows.tolist())
         return TextMotionPairs(self.texts[rows], self.motions[rows], takes)
-
-    @property
-    def take_names(self) -> tuple[str, ...]:
-        """The take of each pair; by default its row's index."""
-        return self.takes or tuple(map(str, range(len(self.motions))))
 
 
 class PairTerms:
     """R-Precision and MM-Dist of every pair of some draws over all replications, and the take of each pair."""
 
     def __init__(self, draws: Sequence[TextMotionPairs]) -> None:
-        self._draws, self._takes = draws, [draw.take_names for draw in draws]
+        self._draws, self._takes = draws, [draw.takes for draw in draws]
         self._units = intervals.units_of_draws(self._takes)
         self._values: dict[str, list[Float64[np.ndarray, _queries]]] = defaultdict(list)
         self._rows: list[Int64[np.ndarray, _queries]] = []
@@ -85,7 +80,7 @@ class PairTerms:
         unit, weights = self._units.unit, self._units.weights()
         motions = np.concatenate([draw.motions for draw in self._draws]).astype(np.float64)
         values = self.resampled_means() | {
-            "fid": intervals.resampled_fid(real.motions.astype(np.float64), real.take_names, motions, self._takes),
+            "fid": intervals.resampled_fid(real.motions.astype(np.float64), real.takes, motions, self._takes),
             "diversity": intervals.resampled_mean_distance(motions, unit, weights),
         }
         if pair_score:

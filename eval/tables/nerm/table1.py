@@ -324,7 +324,7 @@ class _Comparison:
         def cells(values: Mapping[str, Number]) -> dict[str, Cell]:
             return {title_of(name): Cell(values[name].value) for name in names}
 
-        number, oracle = len(real.motions), TextMotionPairs(real.texts, real.texts)
+        number, oracle = len(real.motions), TextMotionPairs(real.texts, real.texts, real.takes)
         chance = cells(score_retrieval(real, [real], rule, sentences, seed, lambda a, b: np.zeros((len(a), len(b)))))
         ceiling = cells(score_retrieval(oracle, [oracle], rule, sentences, seed))
         note = f"Shares, not per cent; sentences are compared by {SENTENCES}."

@@ -49,10 +49,14 @@ PLAIN = {
 }
 
 
+def pairs_of(texts: np.ndarray, motions: np.ndarray) -> TextMotionPairs:
+    return TextMotionPairs(texts, motions, tuple(map(str, range(len(texts)))))
+
+
 def make_pairs(number: int, seed: int, noise: float = 1.0) -> TextMotionPairs:
     rng = np.random.default_rng(seed)
     texts = rng.normal(size=(number, FEATURES))
-    return TextMotionPairs(texts, texts + noise * rng.normal(size=texts.shape))
+    return pairs_of(texts, texts + noise * rng.normal(size=texts.shape))
 
 
 def plain_fid(x: np.ndarray, y: np.ndarray) -> float:
@@ -177,7 +181,7 @@ def test_real_motion_against_itself_has_no_fid_but_of_dropped_remainders() -> No
     ("generated", "protocol", "message"),
     [
         (make_pairs(20, 1), "native", "at least 32 pairs"),
-        (TextMotionPairs(np.zeros((64, FEATURES)), np.full((64, FEATURES), np.nan)), "native", "finite"),
+        (pairs_of(np.zeros((64, FEATURES)), np.full((64, FEATURES), np.nan)), "native", "finite"),
         (make_pairs(96, 1), "mld", "96 generated and 64 real"),
     ],
 )
@@ -189,9 +193,9 @@ def test_pairs_that_do_not_fit_are_refused(generated: TextMotionPairs, protocol:
 NUMBER = 128
 
 
-def of_takes(seed: int, noise: float, takes: tuple[str, ...] = ()) -> TextMotionPairs:
+def of_takes(seed: int, noise: float) -> TextMotionPairs:
     texts = np.random.default_rng(0).normal(size=(NUMBER, 6))
-    return TextMotionPairs(texts, texts + noise * np.random.default_rng((seed, 1)).normal(size=texts.shape), takes)
+    return pairs_of(texts, texts + noise * np.random.default_rng((seed, 1)).normal(size=texts.shape))
 
 
 def test_every_number_has_an_interval_over_takes() -> None:
@@ -224,7 +228,7 @@ TEXTS = RNG.normal(size=(120, 40))
 TEXTS[60:] = TEXTS[:60]  # every text stands twice
 SENTENCES = TEXTS.astype(np.float32)
 MOTIONS = RNG.normal(size=(120, 40))
-REAL = TextMotionPairs(TEXTS, TEXTS + 0.01 * MOTIONS)
+REAL = pairs_of(TEXTS, TEXTS + 0.01 * MOTIONS)
 ALL, SAME, FEW, POOLS = find_text_motion_protocol("tmr").retrieval
 (KIMODO,) = find_text_motion_protocol("kimodo").retrieval
 
@@ -234,7 +238,7 @@ def value(rule: RetrievalRule, pairs: TextMotionPairs, name: str, **more: Any) -
 
 
 def test_real_pairs_are_found_and_random_ones_are_not() -> None:
-    own, random = REAL, TextMotionPairs(TEXTS, MOTIONS)
+    own, random = REAL, pairs_of(TEXTS, MOTIONS)
     assert value(ALL, own, "recall_at_2") == 1.0 and 0.3 < value(ALL, own, "recall_at_1") < 0.7
     for direction in ("", "_motion_asks"):
         assert value(SAME, own, f"recall_at_1{direction}") == 1.0 == value(SAME, own, f"median_rank{direction}")
@@ -258,7 +262,7 @@ def test_chance_is_what_the_rule_leaves_to_it() -> None:
 
 
 def test_an_evaluator_that_cannot_tell_texts_apart_wins_kimodos_rule_and_not_tmrs() -> None:
-    blind = TextMotionPairs(np.ones((120, 40)) + 1e-3 * TEXTS, MOTIONS)
+    blind = pairs_of(np.ones((120, 40)) + 1e-3 * TEXTS, MOTIONS)
     assert value(KIMODO, blind, "recall_at_1") == 1.0
     assert share_of_same_texts(KIMODO, blind, SENTENCES) == 1.0  # which the table says
     assert value(SAME, blind, "recall_at_1") < 0.1
@@ -266,7 +270,7 @@ def test_an_evaluator_that_cannot_tell_texts_apart_wins_kimodos_rule_and_not_tmr
 
 
 def test_draws_are_averaged() -> None:
-    near, far = TextMotionPairs(TEXTS, REAL.motions + 1e-4 * MOTIONS), TextMotionPairs(TEXTS, MOTIONS)
+    near, far = pairs_of(TEXTS, REAL.motions + 1e-4 * MOTIONS), pairs_of(TEXTS, MOTIONS)
     values = [value(KIMODO, each, "recall_at_1_real_asked") for each in (near, far)]
     both = score_retrieval(REAL, [near, far], KIMODO, SENTENCES, 0)["recall_at_1_real_asked"]
     assert values[0] == 1.0 and values[1] < 0.1 and both.value == pytest.approx(np.mean(values))
