@@ -638,11 +638,6 @@ def feature_sources(names: Sequence[str] | None, guo: "GuoFiles | None", missing
 
     with missing.skipping("features 'guo'", (MotionkitError,) if sources else ()):
         evaluator = load_guo(guo)
-
-        def at_its_framerate(train: SampleSet) -> FeatureSet:
-            evaluator.check_fps(train.fps, train.name)
-            return evaluator
-
         title = f"clip-FID on the {evaluator.name} evaluator of {evaluator.kind.dataset}"
         note = (
             f"At {float(evaluator.fps):g} fps alone, at most {GUO_REPLICATIONS} replications. This evaluator was "
@@ -650,7 +645,7 @@ def feature_sources(names: Sequence[str] | None, guo: "GuoFiles | None", missing
             "Clips of m poses are m − 1 frames of pose vectors. These are not the FIDs of whole motions that papers "
             "print."
         )
-        sources.append(FeatureSource("guo", title, at_its_framerate, note, GUO_REPLICATIONS))
+        sources.append(FeatureSource("guo", title, lambda train: evaluator, note, GUO_REPLICATIONS))
     return sources
 
 
