@@ -13,7 +13,7 @@ from matplotlib.figure import Figure, FigureBase
 from matplotlib.text import Annotation
 from scipy.optimize import isotonic_regression
 
-from eval.report.results import Block, Result, card
+from eval.report.results import Block, Result, render
 from motionkit.core.files import whole_file
 from motionkit.training.run import RunError, RunFolder
 
@@ -293,4 +293,4 @@ def run_card(run: Path, motions: Sequence[tuple[str, str]] = ()) -> str:
     Raises as `stages_of`.
     """
     stages = stages_of(run)
-    return card("run.html.j2", name=run.name, stages=stages, figure=training_figure(stages), motions=motions)
+    return render("run.html.j2", name=run.name, stages=stages, figure=training_figure(stages), motions=motions)

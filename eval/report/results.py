@@ -27,7 +27,6 @@ from motionkit.training.config import from_plain
 from motionkit.training.run import RunFolder, commit, versions
 
 if TYPE_CHECKING:
-    from jinja2 import Environment
     from matplotlib.figure import Figure
 
 FORMAT = "motionkit-result/1"
@@ -468,12 +467,32 @@ def to_html(results: Sequence[Result], cards: Sequence[str] = (), figures: Mappi
 
     `cards` are articles, as HTML, in front; `figures` are placed in the results with these indices.
     """
-    return card("report.html.j2", results=results, cards=cards, figures=figures)
+    return render("report.html.j2", results=results, cards=cards, figures=figures)
 
 
-def card(template: str, **values: Any) -> str:
-    """An article in front of a page's results, from a template of this folder."""
-    return _environment().get_template(template).render(values)
+def render(template: str, **values: Any) -> str:
+    """A template of this folder as HTML: the page, or an article in front of its results."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("eval.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    filters: Mapping[str, Callable[..., object]] = {
+        "cell": format_cell,
+        "number": format_number,
+        "details": detail_tables,
+        "measure": format_measure,
+        "best": best_in_column,
+        "picture": picture,
+        "origin": origin_line,
+    }
+    environment.filters.update(filters)
+    return environment.get_template(template).render(values)
 
 
 def picture(figure: "Figure") -> str:
@@ -530,27 +549,3 @@ def detail_tables(block: Block) -> list[dict[str, Any]]:
         columns = [column for column in block.columns if any(column in values for _, values in rows)]
         tables.append({"name": name, "columns": columns, "rows": rows})
     return tables
-
-
-def _environment() -> "Environment":
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("eval.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    filters: Mapping[str, Callable[..., object]] = {
-        "cell": format_cell,
-        "number": format_number,
-        "details": detail_tables,
-        "measure": format_measure,
-        "best": best_in_column,
-        "picture": picture,
-        "origin": origin_line,
-    }
-    environment.filters.update(filters)
-    return environment
