@@ -70,7 +70,7 @@ def _summary(folder: "SampleFolder") -> dict[str, Any]:
     actions = Counter(filter(None, folder.actions))
     return {
         "name": folder.name,
-        "num_motions": folder.num_motions,
+        "num_motions": len(folder.sequences),
         "duration_seconds": folder.duration_seconds,
         "frames": [int(lengths.min()), int(np.median(lengths)), int(lengths.max())],
         "framerates": {str(fps): count for fps, count in sorted(Counter(folder.fps).items())},

@@ -91,11 +91,6 @@ class SampleFolder:
         )
 
     @property
-    def num_motions(self) -> int:
-        """Number of motions."""
-        return len(self.sequences)
-
-    @property
     def duration_seconds(self) -> float:
         """Seconds of motion in all."""
         lengths = self.sequences.num_frames
@@ -127,10 +122,10 @@ class SampleFolder:
         listed = ", ".join(
             f"{float(fps):.5g} fps" + (f" ({rates[fps]:,})" if len(rates) > 1 else "") for fps in sorted(rates)
         )
-        count, minutes = counted(self.num_motions, "motion"), f"{self.duration_seconds / 60:.1f} min"
+        count, minutes = counted(len(self.sequences), "motion"), f"{self.duration_seconds / 60:.1f} min"
         lines = [f"{count} at {listed}, {minutes}; below a column's framerate they are upsampled by SLERP"]
         if self.left_out:
-            lines.append(left_out_line(self.left_out, self.num_motions))
+            lines.append(left_out_line(self.left_out, len(self.sequences)))
         return "; ".join((*lines, *self.remarks))
 
     def require(self, what: Literal["caption", "action"]) -> None:
@@ -139,7 +134,7 @@ class SampleFolder:
         bare = [i for i, value in enumerate(values) if not value]
         if bare:
             raise SampleFolderError(
-                f"--samples {self.name}: {len(bare):,} of {self.num_motions:,} motions have no {what}, the first is "
+                f"--samples {self.name}: {len(bare):,} of {len(values):,} motions have no {what}, the first is "
                 f"{self.sequence_ids[bare[0]]!r}; give a CSV beside them with the columns file,{what} (docs/samples.md)"
             )
 
