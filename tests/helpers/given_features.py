@@ -1,5 +1,6 @@
-"""A network for torchmetrics that takes features as they are instead of computing them from images."""
+"""Features for tests of distances: a network that hands them on to torchmetrics, and FID by its formula."""
 
+import numpy as np
 import torch
 
 
@@ -12,3 +13,10 @@ class GivenFeatures(torch.nn.Module):
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
         return features
+
+
+def plain_fid(x: np.ndarray, y: np.ndarray) -> float:
+    """The Fréchet distance by its formula."""
+    a, b = np.cov(x, rowvar=False), np.cov(y, rowvar=False)
+    root = np.sqrt(np.maximum(np.linalg.eigvals(a @ b).real, 0)).sum()
+    return float(((x.mean(0) - y.mean(0)) ** 2).sum() + np.trace(a) + np.trace(b) - 2 * root)

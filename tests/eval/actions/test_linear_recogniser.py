@@ -59,7 +59,4 @@ def test_what_cannot_be_learnt_or_described_is_said() -> None:
         [str(i) for i in range(21)],
         actions=[*ACTIONS[:2] * 10, ACTIONS[2]],
     )
-    recogniser = fit_linear(rare)
-    assert recogniser.actions == ACTIONS[:2]
-    with pytest.raises(MotionkitError, match="30 fps, but the recogniser 'linear' was trained at 20 fps"):
-        recogniser.recognise(sample_set("fast", Fraction(30), [acted("nod", 0)], ["a"]))
+    assert fit_linear(rare).actions == ACTIONS[:2]

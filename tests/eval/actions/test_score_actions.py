@@ -9,6 +9,7 @@ from scipy.spatial.distance import pdist
 
 from eval.actions.scores import ACTION_PROTOCOLS, Recognition, find_action_protocol, score_actions
 from eval.metrics.registry import find_metric
+from tests.helpers.given_features import plain_fid
 
 CLASSES = 4
 
@@ -19,12 +20,6 @@ def recognised(number: int, seed: int) -> Recognition:
     features = rng.normal(size=(number, 3)) + labels[:, None]
     scores = rng.normal(size=(number, CLASSES)) + 2 * np.eye(CLASSES)[labels]
     return Recognition(features, scores, labels)
-
-
-def plain_fid(x: np.ndarray, y: np.ndarray) -> float:
-    a, b = np.cov(x, rowvar=False), np.cov(y, rowvar=False)
-    root = np.sqrt(np.maximum(np.linalg.eigvals(a @ b).real, 0)).sum()
-    return float(((x.mean(0) - y.mean(0)) ** 2).sum() + np.trace(a) + np.trace(b) - 2 * root)
 
 
 @pytest.mark.parametrize("protocol", ACTION_PROTOCOLS, ids=lambda protocol: protocol.name)

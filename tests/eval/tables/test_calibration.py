@@ -12,6 +12,7 @@ from eval.sets.damage import NUM_GAMES
 from eval.sets.sets import SampleSet, sample_set
 from eval.tables.calibration import MIRRORED, Scored, calibrate, first_detected, spearman, won
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
 
 FPS = Fraction(40)
 PROTOCOL = Protocol(16, 32, num_clips=400, replications=2, detailed_replications=0)
@@ -34,10 +35,7 @@ def test_damage_is_seen_from_a_strength_on_and_ranked() -> None:
 
 
 def takes(noise_metres: float = 0.001) -> SampleSet:
-    rng = np.random.default_rng(0)
-    rest = np.zeros((22, 3))
-    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
-        rest[joint] = rest[parent] + SMPL22.offsets[joint]
+    rng, rest = np.random.default_rng(0), rest_positions(SMPL22)
     time = np.arange(200)[:, None, None] / float(FPS)
     sequences = []
     for _ in range(10):
@@ -79,11 +77,6 @@ def test_with_training_motion_every_game_is_played(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(score, "FIT_CLIPS", 512)
     real = takes()
     found = calibrate(Comparison(real, fit_on(real), PROTOCOL, training=real), None)
-    assert [next(iter(game)) for game in found.games] == [
-        "upsampled from 20 fps",
-        "low-passed at 8 Hz",
-        "low-passed at 10 Hz",
-    ]
     assert len(found.games) == NUM_GAMES
     low_passed = next(of for family, of in found.graded.items() if family.name == "low-pass")
     energies = [next(iter(each.detail.energy_db.values())).value for each in low_passed.values() if each.detail]

@@ -19,6 +19,7 @@ from eval.text_motion.scores import (
     score_text_motion,
     share_of_same_texts,
 )
+from tests.helpers.given_features import plain_fid
 
 SEED, FEATURES = 11, 5
 
@@ -57,12 +58,6 @@ def make_pairs(number: int, seed: int, noise: float = 1.0) -> TextMotionPairs:
     rng = np.random.default_rng(seed)
     texts = rng.normal(size=(number, FEATURES))
     return pairs_of(texts, texts + noise * rng.normal(size=texts.shape))
-
-
-def plain_fid(x: np.ndarray, y: np.ndarray) -> float:
-    a, b = np.cov(x, rowvar=False), np.cov(y, rowvar=False)
-    root = np.sqrt(np.maximum(np.linalg.eigvals(a @ b).real, 0)).sum()
-    return float(((x.mean(0) - y.mean(0)) ** 2).sum() + np.trace(a) + np.trace(b) - 2 * root)
 
 
 def plain_precision(queries: np.ndarray, candidates: np.ndarray) -> np.ndarray:

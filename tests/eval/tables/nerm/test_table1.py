@@ -20,6 +20,7 @@ from eval.text_motion.guo import GuoFiles
 from motionkit.core.errors import MotionkitError, UsageError
 from motionkit.core.motion import Caption
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.generate.models import GenerationRequest, SamplingOptions
 from tests.helpers.scripted_model import PosesAt, ScriptedModel, install_models, trained_run
 from tests.helpers.table_request import rows_of, table_request, write_takes
@@ -31,10 +32,7 @@ MULTIMODALITY = title_of("multimodality")
 
 def positions_at(times_seconds: np.ndarray, take: int, shake: float = 0.0) -> np.ndarray:
     """A body that leans as its number says: what an evaluator can tell from any stretch of it."""
-    rest = np.zeros((22, 3))
-    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
-        rest[joint] = rest[parent] + SMPL22.offsets[joint]
-    rest += 0.05 * np.random.default_rng(take).normal(size=(22, 3))
+    rest = rest_positions(SMPL22) + 0.05 * np.random.default_rng(take).normal(size=(22, 3))
     swing = np.sin(2 * np.pi * times_seconds)[:, None, None] * 0.02
     return (rest + swing + shake).astype(np.float32)
 

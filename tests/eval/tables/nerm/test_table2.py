@@ -17,6 +17,7 @@ from eval.sets.sets import RowId, Variant
 from eval.tables import systems
 from eval.tables.nerm import table2
 from motionkit.core.skeleton import SMPL22
+from motionkit.core.skeletons.mapping import rest_positions
 from motionkit.fields.detail import fit_detail
 from motionkit.fields.interpolation import interpolate
 from motionkit.fields.motion_field import to_motion
@@ -33,13 +34,10 @@ NERM, NERM_SLERP = "NeRM", "NeRM generated at 20 fps, SLERP"
 def positions_at(times_seconds: np.ndarray, seed: int) -> np.ndarray:
     """A swinging, walking body as a function of time."""
     rng = np.random.default_rng(seed)
-    rest = np.zeros((22, 3))
-    for joint, parent in enumerate(SMPL22.parents[1:], start=1):
-        rest[joint] = rest[parent] + SMPL22.offsets[joint]
     rate, phase = rng.uniform(0.5, 6, (22, 3)), rng.uniform(0, 6, (22, 3))
     time = times_seconds[:, None, None]
     path = np.array([rng.normal(), 0.0, rng.normal()])
-    return (rest + 0.05 * np.sin(2 * np.pi * rate * time + phase) + path * time).astype(np.float32)
+    return (rest_positions(SMPL22) + 0.05 * np.sin(2 * np.pi * rate * time + phase) + path * time).astype(np.float32)
 
 
 def truth(request: GenerationRequest, chance: tuple[int, int]) -> PosesAt:
