@@ -40,7 +40,6 @@ class RowCurves:
         self, observations: Sequence[Observation], times_seconds: Float64[np.ndarray, "times"]
     ) -> list[Poses]:
         """Poses of many motions at the same times; see `motionkit.fields.motion_field.BatchEncoder`."""
-        check_observed_alike(observations)
         joints = Joints.stacked([Joints.of(observation.poses, observation.skeleton) for observation in observations])
         observed = observations[0].times_seconds
         columns = curve(self.kind, observed, two_columns(joints.rotations))(times_seconds)

@@ -93,16 +93,12 @@ class Trained(Generic[T]):
         return "; ".join((*notes, f"trained at up to {float(model.max_training_fps):g} fps{knows}")) if notes else ""
 
 
-# A generative model of a run.
-TrainedModel = Trained[GenerativeModel]
-
-
-def trained_models(run: Path | None, missing: Missing) -> dict[str, TrainedModel]:
+def trained_models(run: Path | None, missing: Missing) -> dict[str, Trained[GenerativeModel]]:
     """The installed models in a run by their row names; those that it lacks are missing, with what trains them.
 
     Without a run there are none, and none is missing.
     """
-    models: dict[str, TrainedModel] = {}
+    models: dict[str, Trained[GenerativeModel]] = {}
     if run is None:
         return models
     for loader in installed_models().values():
@@ -118,7 +114,7 @@ def trained_models(run: Path | None, missing: Missing) -> dict[str, TrainedModel
     return models
 
 
-def require_models(run: Path | None, what: str, missing: Missing) -> dict[str, TrainedModel]:
+def require_models(run: Path | None, what: str, missing: Missing) -> dict[str, Trained[GenerativeModel]]:
     """As `trained_models`; raises `UsageError` without a run, `RunError` if it holds no model."""
     if run is None:
         raise UsageError(f"{what} needs trained systems: --run NAME (motionkit train --for {what.replace(' ', ':')})")

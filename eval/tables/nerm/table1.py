@@ -16,7 +16,7 @@ from eval.native_evaluator.evaluator import load_evaluator
 from eval.report.results import Block, Cell, Row, cell_of, measure, score_differences, with_differences
 from eval.sets.motions import VARIANT_NOTES, NoRealMotionError, refusal
 from eval.sets.sets import REAL, RowId, check_sample_names, size_remark
-from eval.tables.systems import Trained, TrainedModel, trained_models
+from eval.tables.systems import Trained, trained_models
 from eval.tables.table import SOURCES, Content, EvalConfig, Table, printed_block, reported_figures
 from eval.text_motion.guo import load_guo, load_motion_clip
 from eval.text_motion.motions import (
@@ -40,7 +40,7 @@ from eval.text_motion.scores import (
 )
 from motionkit.core.errors import MotionkitError, UsageError, counted
 from motionkit.core.progress import task
-from motionkit.generate.models import GenerationRequest, installed_models
+from motionkit.generate.models import GenerationRequest, GenerativeModel, installed_models
 from motionkit.store.reader import Store
 from motionkit.training.run import RunFolder
 from motionkit.training.text import load_text_encoder
@@ -135,7 +135,7 @@ def _evaluator(name: str, config: EvalConfig) -> TextMotionEvaluator:
     return load_evaluator(config.run, stage)
 
 
-def _models(config: EvalConfig) -> dict[str, TrainedModel]:
+def _models(config: EvalConfig) -> dict[str, Trained[GenerativeModel]]:
     """The run's models that know texts and, if trained, those of a single framerate from the run `RUN-fixed`."""
     models = trained_models(config.run, config.missing)
     for loader in installed_models().values():
@@ -206,7 +206,7 @@ class _Comparison:
         if protocol.retrieval:
             self.sentences = load_text_encoder(SENTENCES).encode([caption.text for caption in real.captions])
 
-    def blocks(self, models: Mapping[str, TrainedModel]) -> list[Block]:
+    def blocks(self, models: Mapping[str, Trained[GenerativeModel]]) -> list[Block]:
         """All metrics with the protocol's direction of R-Precision, the other direction, retrieval, differences."""
         config, protocol = self.config, self.protocol
         real = self._scored(REAL, Embedded([self.own], self.chosen_rows))
@@ -246,7 +246,7 @@ class _Comparison:
         retrieval = (self._retrieval(rule, index, rows) for index, rule in enumerate(protocol.retrieval))
         return [main, other, *retrieval, *differences]
 
-    def _model_rows(self, name: str, trained: TrainedModel) -> list[ScoredRow]:
+    def _model_rows(self, name: str, trained: Trained[GenerativeModel]) -> list[ScoredRow]:
         """A model's rows, as generated and planted."""
         config, lengths, real = self.config, kit_bone_lengths(self.real.samples), self.real.select(self.chosen)
         with task(config.on_progress, f"{self.evaluator.name}: {name}", note="motions generated") as work:
