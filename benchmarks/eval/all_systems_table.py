@@ -1,8 +1,8 @@
 """The table and the figure of all systems, from the results that benchmarks.eval.all_systems has written.
 
-    python -m benchmarks.eval.all_systems_table --results RESULTS [--image docs/images/all-systems.png]
+    python -m benchmarks.eval.all_systems_table [--results RESULTS] [--image docs/images/all-systems.png]
 
-A row's figures are of planted motion, means over the training seeds with the lowest and the highest.
+A row's figures are of planted motion, means over the training seeds; clip-FID with the lowest and the highest.
 """
 
 import json
@@ -18,7 +18,9 @@ from benchmarks.eval.all_systems import title
 from motionkit.generate.models import installed_models
 
 FPS, PLANTED = "60 fps", ", planted"
-COLUMNS = ("20 fps", FPS, "120 fps", "recall", "precision", "T", "12–18 Hz", "R-Precision, top 3 ↑")
+FRAMERATES = ("20 fps", FPS, "120 fps")
+TICKS = (2, 5, 10, 20, 50)
+OTHERS = ("recall", "precision", "T", "12–18 Hz", "R-Precision, top 3 ↑")
 REFERENCES = ("training takes, as a generator", "training takes, as long as generated motions")
 
 Figures = Mapping[str, float]
@@ -42,9 +44,9 @@ def figures_of(folder: Path) -> dict[str, dict[str, float]]:
 
 
 def spread(values: Sequence[float]) -> str:
-    """The mean of the training seeds, with the lowest and the highest."""
+    """The mean of the training seeds, with the lowest and the highest if they differ."""
     mean = f"{np.mean(values):.3g}" if values else "–"
-    return mean if len(values) < 2 else f"{mean} ({min(values):.3g} to {max(values):.3g})"
+    return mean if len({*values}) < 2 else f"{mean} ({min(values):.3g} to {max(values):.3g})"
 
 
 def median(found: Sequence[Figures], column: str = FPS) -> float:
@@ -63,13 +65,15 @@ def draw(rows: Mapping[str, Sequence[Figures]], later: Mapping[str, Sequence[flo
     for name in REFERENCES:
         axes.axvline(median(rows[name]), color="0.6", linewidth=1)
     axes.set(xscale="log", xlabel=f"clip-FID of planted motion at {FPS}")
+    axes.set_xticks(TICKS, map(str, TICKS))
+    axes.minorticks_off()
     axes.set_yticks(range(len(systems)), systems)
     figure.savefig(path, dpi=150)
 
 
 def main() -> None:
     parser = arguments_parser(__doc__)
-    parser.add_argument("--results", type=Path, default=Path("results"))
+    parser.add_argument("--results", type=Path, default=Path("docs/results/all-systems"))
     parser.add_argument("--image", type=Path)
     given = parser.parse_args()
     of_run = {path.name: figures_of(path) for path in sorted(given.results.glob("*s-[0-9]"))}
@@ -79,10 +83,13 @@ def main() -> None:
     rows = {name: [each.get(name, {}) for each in seeds[0]] for name in names}
     long = seeds[-1] if len(seeds) > 1 else []
     later = {name: [each[name][FPS] for each in long if name in each] for name in rows}
-    print(" | ".join(("|", *COLUMNS, f"{FPS}, {budgets[-1] / 60:g} minutes |")))
-    print("|---" * (len(COLUMNS) + 2) + "|")
+    columns = (*FRAMERATES, *OTHERS)
+    print(" | ".join(("|", *columns, f"{FPS}, {budgets[-1] / 60:g} minutes |")))
+    print("|---" * (len(columns) + 2) + "|")
     for name, found in sorted(rows.items(), key=lambda row: (row[0] not in REFERENCES, median(row[1]))):
-        texts = [spread([each[column] for each in found if column in each]) for column in COLUMNS]
+        values = {column: [each[column] for each in found if column in each] for column in columns}
+        texts = [spread(values[column]) for column in FRAMERATES]
+        texts += [f"{np.mean(values[column]):.2g}" if values[column] else "–" for column in OTHERS]
         print(" | ".join((f"| {name}", *texts, f"{spread(later[name])} |")))
     if given.image:
         draw(rows, later, given.image)
