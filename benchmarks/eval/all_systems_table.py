@@ -46,7 +46,7 @@ def figures_of(folder: Path) -> dict[str, dict[str, float]]:
 def spread(values: Sequence[float]) -> str:
     """The mean of the training seeds, with the lowest and the highest if they differ."""
     mean = f"{np.mean(values):.3g}" if values else "–"
-    return mean if len({*values}) < 2 else f"{mean} ({min(values):.3g} to {max(values):.3g})"
+    return mean if len({f"{value:.3g}" for value in values}) < 2 else f"{mean} ({min(values):.3g} to {max(values):.3g})"
 
 
 def median(found: Sequence[Figures], column: str = FPS) -> float:
