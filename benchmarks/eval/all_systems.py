@@ -6,10 +6,10 @@
     python -m benchmarks.eval.all_systems_table --results RESULTS                    # the table and the figure
 
 A budget is the processor time that the operating system counts for a system's trainings, from the start of Python to
-the last weight on disk, with an empty cache each: reading the store, pose vectors, text embeddings, linear fits
-and autoencoders are in it. Each system has five trials on the validation part: three learning rates, then
-guidance and sampling steps, or half the batch and a rate more where nothing is guided. The best by clip-FID of planted
-motion at 60 fps is trained with each seed. All motion is planted.
+the last weight on disk, with an empty cache each: reading the store, pose vectors, text embeddings, linear fits and
+autoencoders are in it. Each system has five trials on the validation part: three learning rates, then guidance and
+sampling steps, or half the batch and a rate more where nothing is guided. The best by clip-FID of planted motion at
+60 fps is trained with each seed.
 """
 
 import json
@@ -218,6 +218,8 @@ def main() -> None:
                     train(system, run, given.store, given.budget, trial["settings"], seed)
                     break
                 # It diverges in a longer training: the next best.
+            else:
+                raise RunError(f"{system}: its training diverges with the settings of every trial")
 
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
             list(threads.map(train_one, [(seed, system) for seed in seeds for system in systems]))

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -93,15 +93,21 @@ def separate_windows(windows: Windows) -> Int64[np.ndarray, "chosen"]:
     return np.array(chosen, dtype=np.int64)
 
 
-WindowErrors = tuple[float, float, float, float, float]
-"""Root-aligned and global MPJPE in millimetres; MRE and mean distance of `native` vectors in raw units; seconds."""
+class WindowErrors(NamedTuple):
+    """Root-aligned and global MPJPE in millimetres; MRE and mean distance of `native` vectors in raw units."""
+
+    aligned_mm: float
+    global_mm: float
+    mre: float
+    vector_distance: float
+    seconds: float
 
 
 def window_errors(decoded: Positions, truth: Positions, fps: Fraction, seconds: float) -> WindowErrors:
     """The errors of one window of some seconds, decoded at `fps`; both in the window's frame, metres."""
     aligned, whole = (1000.0 * error(decoded, truth) for error in (mpjpe_root_aligned, mpjpe_global))
     pair = vectors(decoded, "smpl22", fps), vectors(truth, "smpl22", fps)
-    return aligned, whole, mre(*pair), mean_vector_distance(*pair), seconds
+    return WindowErrors(aligned, whole, mre(*pair), mean_vector_distance(*pair), seconds)
 
 
 def error_cells(windows: Sequence[WindowErrors]) -> dict[str, Cell]:
