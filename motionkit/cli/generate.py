@@ -58,7 +58,7 @@ def generate(
     guidance: Annotated[float | None, typer.Option(help="Guidance scale r of Eq. 6 (else the recipe's).")] = None,
     sampler: Annotated[str | None, typer.Option(help="ddim or ddpm (else the recipe's).")] = None,
     sampling_steps: Annotated[
-        int | None, typer.Option(min=1, help="Diffusion steps visited (else the recipe's; ddpm likes more).")
+        int | None, typer.Option(min=1, help="Diffusion steps visited (else the recipe's).")
     ] = None,
     plant: Annotated[
         bool, typer.Option("--plant/--no-plant", help="Make sliding feet stand, on bones of one length.")
