@@ -2,7 +2,8 @@
 
     python -m benchmarks.eval.all_systems_table [--results RESULTS] [--image docs/images/all-systems.png]
 
-A row's figures are of planted motion, means over the training seeds; clip-FID with the lowest and the highest.
+A row's figures are of planted motion, means over the training seeds; clip-FID with the lowest and the highest. Results
+in the folder `slower` are of another machine, and have columns of their own.
 """
 
 import json
@@ -20,6 +21,8 @@ from motionkit.generate.models import installed_models
 FPS, PLANTED = "60 fps", ", planted"
 FRAMERATES = ("20 fps", FPS, "120 fps")
 TICKS = (2, 5, 10, 20, 50)
+# Half an hour; six minutes and half an hour of a slower machine.
+MARKS = ("o", "x", "s")
 OTHERS = ("recall", "precision", "T", "12–18 Hz", "R-Precision, top 3 ↑")
 REFERENCES = ("training takes, as a generator", "training takes, as long as generated motions")
 
@@ -54,14 +57,25 @@ def median(found: Sequence[Figures], column: str = FPS) -> float:
     return float(np.median([each[column] for each in found if column in each] or [math.inf]))
 
 
-def draw(rows: Mapping[str, Sequence[Figures]], later: Mapping[str, Sequence[float]], path: Path) -> None:
-    """clip-FID of planted motion by system: a dot for each training seed, a ring for a long training."""
+def by_budget(results: Path) -> dict[float, list[dict[str, dict[str, float]]]]:
+    """The figures of every seed by its budget in seconds, the smallest first."""
+    found: dict[float, list[dict[str, dict[str, float]]]] = {}
+    for path in sorted(results.glob("*s-[0-9]"), key=lambda path: float(path.name.partition("s-")[0])):
+        found.setdefault(float(path.name.partition("s-")[0]), []).append(figures_of(path))
+    return found
+
+
+def draw(rows: Mapping[str, Sequence[Figures]], others: Sequence[Mapping[str, Sequence[float]]], path: Path) -> None:
+    """clip-FID of planted motion by system: a dot for each training seed, another mark for each other training."""
     systems = sorted((name for name in rows if name not in REFERENCES), key=lambda name: -median(rows[name]))
     figure, axes = plt.subplots(figsize=(7, 0.34 * len(systems) + 1.2), layout="constrained")
     for place, name in enumerate(systems):
         values = [each[FPS] for each in rows[name] if FPS in each]
         axes.plot(values, [place] * len(values), "o", color="tab:blue", markersize=5)
-        axes.plot(later[name], [place] * len(later[name]), "o", color="tab:blue", markersize=9, markerfacecolor="none")
+        for mark, other in zip(MARKS, others, strict=False):
+            axes.plot(
+                other[name], [place] * len(other[name]), mark, color="tab:blue", markersize=8, markerfacecolor="none"
+            )
     for name in REFERENCES:
         axes.axvline(median(rows[name]), color="0.6", linewidth=1)
     axes.set(xscale="log", xlabel=f"clip-FID of planted motion at {FPS}")
@@ -76,23 +90,24 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=Path("docs/results/all-systems"))
     parser.add_argument("--image", type=Path)
     given = parser.parse_args()
-    of_run = {path.name: figures_of(path) for path in sorted(given.results.glob("*s-[0-9]"))}
-    budgets = sorted({float(name.partition("s-")[0]) for name in of_run})
-    seeds = [[found for name, found in of_run.items() if name.startswith(f"{each:g}s-")] for each in budgets]
+    (_, first), *trainings = [
+        (f"{FPS}, {budget / 60:g} minutes{of_machine}", seeds)
+        for folder, of_machine in ((given.results, ""), (given.results / "slower", ", slower machine"))
+        for budget, seeds in by_budget(folder).items()
+    ]
     names = (*REFERENCES, *map(title, installed_models()))
-    rows = {name: [each.get(name, {}) for each in seeds[0]] for name in names}
-    long = seeds[-1] if len(seeds) > 1 else []
-    later = {name: [each[name][FPS] for each in long if name in each] for name in rows}
+    rows = {name: [each.get(name, {}) for each in first] for name in names}
+    others = [{name: [each[name][FPS] for each in seeds if name in each] for name in names} for _, seeds in trainings]
     columns = (*FRAMERATES, *OTHERS)
-    print(" | ".join(("|", *columns, f"{FPS}, {budgets[-1] / 60:g} minutes |")))
-    print("|---" * (len(columns) + 2) + "|")
+    print(" | ".join(("|", *columns, *(heading for heading, _ in trainings))) + " |")
+    print("|---" * (len(columns) + len(trainings) + 1) + "|")
     for name, found in sorted(rows.items(), key=lambda row: (row[0] not in REFERENCES, median(row[1]))):
         values = {column: [each[column] for each in found if column in each] for column in columns}
         texts = [spread(values[column]) for column in FRAMERATES]
         texts += [f"{np.mean(values[column]):.2g}" if values[column] else "–" for column in OTHERS]
-        print(" | ".join((f"| {name}", *texts, f"{spread(later[name])} |")))
+        print(" | ".join((f"| {name}", *texts, *(spread(other[name]) for other in others))) + " |")
     if given.image:
-        draw(rows, later, given.image)
+        draw(rows, others, given.image)
 
 
 if __name__ == "__main__":
