@@ -295,10 +295,10 @@ def nano() -> NermConfig:
         _changed(
             DenoiserConfig(),
             "network.num_layers=5 network.width=192 network.ffn_width=512 network.dropout=0 network.latent_tokens=8 "
-            "diffusion.prediction=velocity diffusion.sampler=ddpm diffusion.sampling_steps=8 "
-            "diffusion.guidance_scale=2 conditions.paraphrases=12 variations=4 balanced=true schedule.epochs=none "
-            "schedule.steps=8000 schedule.learning_rate=2e-3 schedule.kind=cosine schedule.warmup_fraction=0.02 "
-            "ema_decay=0.995 precision=auto",
+            "diffusion.prediction=velocity diffusion.sampling_steps=10 diffusion.guidance_scale=2 "
+            "conditions.paraphrases=12 variations=4 balanced=true schedule.epochs=none schedule.steps=8000 "
+            "schedule.learning_rate=2e-3 schedule.kind=cosine schedule.warmup_fraction=0.02 ema_decay=0.995 "
+            "precision=auto",
         ),
     )
 

@@ -9,6 +9,7 @@ in the folder `slower` are of another machine, and have columns of their own.
 import json
 import math
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -59,10 +60,12 @@ def median(found: Sequence[Figures], column: str = FPS) -> float:
 
 def by_budget(results: Path) -> dict[float, list[dict[str, dict[str, float]]]]:
     """The figures of every seed by its budget in seconds, the smallest first."""
-    found: dict[float, list[dict[str, dict[str, float]]]] = {}
-    for path in sorted(results.glob("*s-[0-9]"), key=lambda path: float(path.name.partition("s-")[0])):
-        found.setdefault(float(path.name.partition("s-")[0]), []).append(figures_of(path))
-    return found
+
+    def budget(path: Path) -> float:
+        return float(path.name.partition("s-")[0])
+
+    paths = sorted(sorted(results.glob("*s-[0-9]")), key=budget)
+    return {seconds: list(map(figures_of, seeds)) for seconds, seeds in groupby(paths, budget)}
 
 
 def draw(rows: Mapping[str, Sequence[Figures]], others: Sequence[Mapping[str, Sequence[float]]], path: Path) -> None:
